@@ -1,0 +1,5 @@
+"""``python -m magiclens`` is ``mlens``."""
+
+from magiclens.cli import main
+
+main()

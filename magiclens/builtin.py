@@ -1,0 +1,48 @@
+"""The plugin that contributes everything built in, through the door that every plugin uses.
+
+The modules named here import numba, scipy, pymeshlab and mitsuba only when they work, so listing them is quick.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+from magiclens.hookspecs import hookimpl
+
+if TYPE_CHECKING:
+    from magiclens.artifacts import FloatArray
+    from magiclens.scenarios.base import Scenario
+    from magiclens.stages import Stage
+
+
+@hookimpl
+def mlens_stages() -> Sequence[type[Stage]]:
+    """Every built-in stage, in pipeline order."""
+    from magiclens.annealing.metropolis import Metropolis
+    from magiclens.fabrication.mesh_files import Obj, Ply, Stl
+    from magiclens.integration.least_squares import LeastSquares
+    from magiclens.integration.poisson import Poisson
+    from magiclens.matching.exhaustive import Exhaustive
+    from magiclens.meshing.finish import Pymeshlab
+    from magiclens.rendering.mitsuba import Mitsuba
+    from magiclens.rendering.tracer import Tracer
+
+    return [Exhaustive, Metropolis, Poisson, LeastSquares, Pymeshlab, Stl, Ply, Obj, Tracer, Mitsuba]
+
+
+@hookimpl
+def mlens_scenarios() -> Sequence[type[Scenario]]:
+    """Every built-in scenario."""
+    from magiclens.scenarios.rotating import Rotating
+    from magiclens.scenarios.single import Single
+
+    return [Single, Rotating]
+
+
+@hookimpl
+def mlens_art() -> dict[str, Callable[[int], FloatArray]]:
+    """Every built-in picture."""
+    from magiclens.images.art import ART
+
+    return dict(ART)

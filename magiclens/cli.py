@@ -1,0 +1,157 @@
+"""The command line: thin, and quick to say what it can do. What takes time to import waits for its command."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import traceback as tracebacks
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+
+import typer
+
+import magiclens
+from magiclens.errors import MagicLensError
+
+if TYPE_CHECKING:
+    from magiclens.run import Run
+
+app = typer.Typer(
+    name="mlens",
+    help="Design magic lenses: clear slabs that reveal a hidden picture in another one.",
+    epilog="Exit codes: 0 done; 1 a stage or a plugin failed; 2 the input is wrong.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+SpecFile = Annotated[Path, typer.Argument(metavar="SPEC", help="The spec, a YAML file.", show_default=False)]
+Overrides = Annotated[
+    list[str],
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        default_factory=list,
+        show_default=False,
+        help="Change a value, such as lens.facets=64 or scenario.targets.0.art=bat; again for more.",
+    ),
+]
+Traceback = Annotated[bool, typer.Option("--traceback", help="Show where in the program an error came from.")]
+
+
+@app.callback(invoke_without_command=True)
+def _top(version: Annotated[bool, typer.Option("--version", help="Show the version and exit.")] = False) -> None:
+    if version:
+        typer.echo(magiclens.__version__)
+        raise typer.Exit
+
+
+@app.command()
+def run(
+    spec: SpecFile,
+    overrides: Overrides,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="The run folder.", show_default="out/NAME")
+    ] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Show neither progress nor summary.")] = False,
+    traceback: Traceback = False,
+) -> None:
+    """Design the lens of SPEC and write a run folder: mesh, source, simulated photographs, manifest."""
+    with _reporting(traceback):
+        from magiclens.observers import Observer, watching
+        from magiclens.run import run_spec
+
+        signal.signal(signal.SIGTERM, _terminated)
+        done = run_spec(spec, out, overrides, Observer() if quiet else watching(sys.stderr))
+        if not quiet:
+            typer.echo(_summary(done))
+
+
+@app.command()
+def check(spec: SpecFile, overrides: Overrides, traceback: Traceback = False) -> None:
+    """Check SPEC without running it."""
+    with _reporting(traceback):
+        from magiclens.plan import load_plan
+
+        plan = load_plan(spec, overrides)
+        shots = plan.scenario.shots(plan.lens, plan.spec.viewer)
+        typer.echo(f"{spec}: ok, {plan.scenario.type}, views: {', '.join(shot.name for shot in shots)}")
+
+
+@app.command()
+def plan(spec: SpecFile, overrides: Overrides, traceback: Traceback = False) -> None:
+    """Show the compiled pipeline of SPEC with every option."""
+    with _reporting(traceback):
+        from magiclens.plan import describe, load_plan
+
+        typer.echo(describe(load_plan(spec, overrides)))
+
+
+@app.command()
+def plugins() -> None:
+    """List every stage, scenario and picture that is installed, and plugins that failed to load."""
+    from magiclens.listing import describe_plugins
+    from magiclens.registry import Registry
+
+    typer.echo(describe_plugins(Registry.load()))
+
+
+@app.command()
+def schema() -> None:
+    """Print the JSON Schema (draft 7) of specs, for editors."""
+    import json
+
+    from magiclens.registry import ART, SCENARIO, STAGE, Registry
+    from magiclens.spec.schema import json_schema
+    from magiclens.stages import KINDS
+
+    registry = Registry.load()
+    stages = {kind: registry.classes(STAGE, kind) for kind in KINDS}
+    typer.echo(json.dumps(json_schema(registry.classes(SCENARIO), stages, registry.types(ART)), indent=2))
+
+
+@contextmanager
+def _reporting(traceback: bool) -> Iterator[None]:
+    """Turn errors into one message and an exit code."""
+    try:
+        yield
+    except MagicLensError as error:
+        _fail(str(error), error.exit_code, traceback)
+    except OSError as error:
+        _fail(f"{error.filename or 'file'}: {error.strerror}", 1, traceback)
+    except KeyboardInterrupt:
+        _fail("interrupted", 130, traceback)
+
+
+def _fail(message: str, code: int, traceback: bool) -> NoReturn:
+    if traceback:
+        tracebacks.print_exc()
+    typer.echo(f"error: {message}", err=True)
+    raise typer.Exit(code)
+
+
+def _terminated(*_: Any) -> NoReturn:
+    """End as an exception does, so that the unfinished run folder is removed."""
+    raise SystemExit(143)
+
+
+def _summary(done: Run) -> str:
+    """Scores per view, and where the files are."""
+    scores = [key for key in done.manifest["views"][0] if key.startswith(("psnr_db", "ssim"))]
+    lines = [f"{'view':16}" + "".join(f"{key:>18}" for key in scores)]
+    for view in done.manifest["views"]:
+        lines.append(f"{view['name']:16}" + "".join(f"{_figure(view[key]):>18}" for key in scores))
+    files = [a["path"] for a in done.manifest["artifacts"] if "/" not in a["path"]]
+    return "\n".join([*lines, "", f"{done.folder}: {', '.join(files)}, manifest.json"])
+
+
+def _figure(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}" if value > 1 else f"{value:.3f}"
+
+
+def main() -> None:
+    """The console script."""
+    app()

@@ -1,0 +1,1 @@
+"""Exporters: files that a printer, a mill or another program reads."""

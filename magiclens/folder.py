@@ -1,0 +1,65 @@
+"""Run folders appear whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from magiclens.errors import InputError
+
+MANIFEST = "manifest.json"
+
+
+@contextmanager
+def appearing(out: Path) -> Iterator[Path]:
+    """An empty folder to fill; it is renamed to ``out`` when the block ends well, and gone when it does not.
+
+    A run folder that is at ``out`` already is replaced only then. Anything else there is an InputError.
+    """
+    out = out.absolute()
+    _refuse_strangers(out)
+    partial = _beside(out)
+    try:
+        yield partial
+        out.parent.mkdir(parents=True, exist_ok=True)
+        _swap(partial, out)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def _refuse_strangers(out: Path) -> None:
+    """Only an empty folder or an older run may be replaced."""
+    if out.is_dir() and ((out / MANIFEST).is_file() or not any(out.iterdir())):
+        return
+    if out.exists():
+        raise InputError(f"'{out}' is there already and is not a run folder; choose another --out", "--out")
+
+
+def _beside(out: Path) -> Path:
+    """A new hidden folder on the same disk, in the nearest folder above that exists."""
+    above = next(p for p in out.parents if p.exists())
+    try:
+        partial = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=above))
+    except OSError as error:
+        raise InputError(f"cannot write in '{above}': {error.strerror}", "--out") from None
+    partial.chmod(0o777 & ~_umask())
+    return partial
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def _swap(partial: Path, out: Path) -> None:
+    """Put the finished folder in place of the old one, if there is one."""
+    old = partial.with_name(f"{partial.name}-old")
+    if out.exists():
+        out.rename(old)
+    partial.rename(out)
+    shutil.rmtree(old, ignore_errors=True)

@@ -1,0 +1,77 @@
+"""The built-in pictures by name. Each is drawn from outlines at any size."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from difflib import get_close_matches
+from functools import partial
+
+from magiclens.errors import InputError
+from magiclens.images.colour import FloatArray
+from magiclens.images.drawings import clipart
+from magiclens.images.drawings.flower import flower
+from magiclens.images.drawings.foliage import foliage
+from magiclens.images.drawings.truck import truck
+from magiclens.images.drawings.worm import worm
+from magiclens.images.raster import draw
+from magiclens.images.vector import Layer, fitted
+
+WORM_FRAMES = 8
+
+
+def art(name: str, size_px: int) -> FloatArray:
+    """(size_px, size_px, C) float32, linear light: a built-in picture; C is 1 for black and white, 3 for colour.
+
+    Raises InputError for an unknown name, with the nearest known one.
+    """
+    if name not in ART:
+        near = get_close_matches(name, ART, n=1, cutoff=0.4)
+        hint = f"did you mean {near[0]!r}?" if near else f"choose one of {', '.join(sorted(ART))}"
+        raise InputError(f"there is no built-in art {name!r}; {hint}")
+    return ART[name](size_px)
+
+
+def _silhouette(drawing: Callable[[], Sequence[Layer]], size_px: int) -> FloatArray:
+    """Black on white, centred."""
+    return draw(fitted(drawing()), size_px)
+
+
+def _worm(frame: int, size_px: int) -> FloatArray:
+    """One frame of the worm's loop; frames share one camera, so nothing is centred."""
+    return draw(worm(frame, WORM_FRAMES), size_px)
+
+
+def _painting(drawing: Callable[[], Sequence[Layer]], size_px: int) -> FloatArray:
+    """Colour up to the edges."""
+    return draw(drawing(), size_px, paper=(1.0, 1.0, 1.0))
+
+
+SILHOUETTES = (
+    clipart.panda,
+    clipart.bat,
+    clipart.penguin,
+    clipart.whale,
+    clipart.cat,
+    clipart.rabbit,
+    clipart.owl,
+    clipart.elephant,
+    clipart.heart,
+    clipart.star,
+    clipart.question_mark,
+    clipart.exclamation,
+    clipart.tree,
+    clipart.house,
+    clipart.sun,
+    clipart.moon,
+    clipart.fish,
+    clipart.key,
+    clipart.anchor,
+)
+PAINTINGS = (flower, truck, foliage)
+
+ART: dict[str, Callable[[int], FloatArray]] = {
+    **{drawing.__name__: partial(_silhouette, drawing) for drawing in SILHOUETTES},
+    **{f"worm-{k}": partial(_worm, k) for k in range(WORM_FRAMES)},
+    **{drawing.__name__: partial(_painting, drawing) for drawing in PAINTINGS},
+}
+"""From a name to a function of the size in pixels."""

@@ -1,0 +1,43 @@
+"""How much a picture seen through the lens looks like its target."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from magiclens.images.colour import FloatArray, to_display
+from magiclens.images.resample import resize
+
+
+@dataclass(frozen=True)
+class Score:
+    """``psnr_db`` and ``ssim`` of display values after the exposure ``gain``, a factor in linear light."""
+
+    psnr_db: float
+    ssim: float
+    gain: float
+
+
+def score(render_linear: FloatArray, target_linear: FloatArray) -> Score:
+    """Compare a render (R, R, C) with its target (H, W, C), both linear light; C may differ (1 or 3).
+
+    The target is resized to the render. One least-squares gain stands for the camera's exposure.
+    """
+    target = resize(target_linear, render_linear.shape[:2]).astype(np.float64)
+    render, target = np.broadcast_arrays(render_linear.astype(np.float64), target)
+    gain = float((render * target).sum() / max(float((render**2).sum()), 1e-12))
+    seen, wanted = to_display(render * gain), to_display(target)
+    return Score(psnr_db(seen, wanted), _ssim(seen.mean(-1), wanted.mean(-1)), gain)
+
+
+def psnr_db(seen: FloatArray, wanted: FloatArray) -> float:
+    """Peak signal-to-noise ratio of display values 0..1, in decibels; at most 120."""
+    return float(-10 * np.log10(max(float(np.mean((seen - wanted) ** 2)), 1e-12)))
+
+
+def _ssim(seen: FloatArray, wanted: FloatArray) -> float:
+    """Structural similarity of two (R, R) images of display values 0..1."""
+    from skimage.metrics import structural_similarity
+
+    return float(structural_similarity(seen, wanted, data_range=1.0))  # type: ignore[no-untyped-call]

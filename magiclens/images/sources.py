@@ -1,0 +1,65 @@
+"""Generated source pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from magiclens.images.colour import FloatArray, to_linear
+
+BLACK_AND_WHITE = ((0.0,), (1.0,))
+"""Linear light of the inks that ``circles`` draws with unless told otherwise."""
+
+COLOURED = tuple(
+    tuple(to_linear(np.array(rgb) / 255).tolist())
+    for rgb in (
+        (20, 20, 24),
+        (255, 255, 255),
+        (214, 40, 40),
+        (247, 127, 0),
+        (252, 211, 77),
+        (42, 157, 84),
+        (29, 120, 200),
+        (106, 60, 160),
+    )
+)
+"""Linear light of a small palette: black, white, red, orange, yellow, green, blue, violet."""
+
+
+def circles(
+    size_mm: float,
+    px_per_mm: float,
+    rng: np.random.Generator,
+    radius_mm: tuple[float, float] = (0.5, 2.5),
+    colours: Sequence[Sequence[float]] = BLACK_AND_WHITE,
+    layers: float = 4.0,
+) -> FloatArray:
+    """(S, S, C) float32, linear light: random discs dropped on white paper one over the other (dead leaves).
+
+    Radii are uniform within ``radius_mm``; each disc takes one of the ``colours`` (linear light, C values each)
+    at random; ``layers`` is how many discs cover a point on average. White discs over black ones leave the paper
+    half dark, with large plain areas of both kinds between fine slivers. Edges are anti-aliased.
+    """
+    side = round(size_mm * px_per_mm)
+    lo, hi = radius_mm[0] * px_per_mm, radius_mm[1] * px_per_mm
+    mean_area = np.pi * (lo * lo + lo * hi + hi * hi) / 3
+    count = round(layers * (side + 2 * hi) ** 2 / mean_area)
+    centres = rng.uniform(-hi, side + hi, (count, 2))
+    radii, inks = rng.uniform(lo, hi, count), rng.integers(len(colours), size=count)
+    paper = np.ones((side, side, len(colours[0])), np.float32)
+    palette = np.asarray(colours, np.float32)
+    for (y, x), radius, ink in zip(centres.tolist(), radii.tolist(), inks.tolist(), strict=True):
+        _drop(paper, y, x, radius, palette[ink])
+    return paper
+
+
+def _drop(paper: FloatArray, y: float, x: float, radius: float, ink: FloatArray) -> None:
+    """Paint one disc, all lengths in pixels; a pixel's coverage is its centre's depth below the rim, 0..1."""
+    top, left = max(int(y - radius) - 1, 0), max(int(x - radius) - 1, 0)
+    window = paper[top : max(int(y + radius) + 2, 0), left : max(int(x + radius) + 2, 0)]
+    rows, columns = window.shape[:2]
+    dy = (np.arange(rows) + (top + 0.5 - y))[:, None]
+    dx = (np.arange(columns) + (left + 0.5 - x))[None, :]
+    cover = np.clip(radius + 0.5 - np.hypot(dy, dx), 0.0, 1.0)[..., None]
+    window += cover * (ink - window)

@@ -1,0 +1,1 @@
+"""Facet-patch matching (4.2): which patch of the source should each facet show?"""

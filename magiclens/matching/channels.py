@@ -1,0 +1,57 @@
+"""Views that share an eye in the lens frame stack up as channels of one matching problem.
+
+Inside the matching code, coordinates are those of images: millimetres from the lens's centre, x right and *y down*
+(row order), and samples are display values. ``artifacts.Candidates`` is +y up; the conversion is one sign.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from magiclens.artifacts import FloatArray, Scene
+from magiclens.errors import InputError
+from magiclens.images import resize, to_display
+
+
+@dataclass(frozen=True)
+class Channels:
+    """All views of a scene, turned into the lens frame and stacked.
+
+    source: (C, H, W) float32, linear light. target: (C, R, R) float32, linear light. C = views x colours.
+    """
+
+    source: FloatArray
+    target: FloatArray
+    source_size_mm: float
+
+    @property
+    def source_px_mm(self) -> float:
+        """Size of a source pixel."""
+        return self.source_size_mm / self.source.shape[2]
+
+    def tiles(self, facets: int, pixels: int) -> FloatArray:
+        """(N, N, C, P, P) float32: each facet's tile of the targets, display values."""
+        n = facets * pixels
+        small = np.stack([resize(c[..., None], (n, n))[..., 0] for c in self.target])
+        return to_display(small).reshape(-1, facets, pixels, facets, pixels).transpose(1, 3, 0, 2, 4).astype(np.float32)
+
+
+def stack_channels(scene: Scene) -> Channels:
+    """Stack the views of a scene whose eyes coincide in the lens frame.
+
+    Raises InputError when they do not: offsets then differ between views and need a multi-view matcher.
+    """
+    views = [v.in_lens_frame() for v in scene.views]
+    if any(not np.allclose(v.eye_mm, views[0].eye_mm) for v in views):
+        raise InputError("this matcher needs views that share one eye in the lens frame")
+    rows = max(v.source.shape[0] for v in views)
+    side = max(v.target.shape[0] for v in views)
+    source = [_planes(resize(v.source, (rows, rows))) for v in views]
+    target = [_planes(resize(v.target, (side, side))) for v in views]
+    return Channels(np.concatenate(source), np.concatenate(target), scene.lens.source_size_mm)
+
+
+def _planes(image: FloatArray) -> FloatArray:
+    return np.ascontiguousarray(np.moveaxis(image, -1, 0), np.float32)

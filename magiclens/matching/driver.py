@@ -1,0 +1,104 @@
+"""Runs the compiled kernels of the exhaustive matcher over all rasters."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from magiclens.artifacts import Candidates, FloatArray, Lens, Scene
+from magiclens.errors import InputError
+from magiclens.matching import raster as rasters
+from magiclens.matching.channels import Channels, stack_channels
+from magiclens.matching.polish import blur_levels, polish
+from magiclens.matching.search import search
+from magiclens.stages import Progress
+
+if TYPE_CHECKING:
+    from magiclens.matching.exhaustive import Exhaustive
+
+
+class Pool:
+    """The candidates under construction: flat facets, one bucket per candidate, image frame (y down)."""
+
+    def __init__(self, facets: int, buckets: int):
+        k = buckets * buckets
+        self.buckets = buckets
+        self.errors = np.full((facets, k), np.inf, np.float32)
+        self.offsets = np.zeros((facets, k, 2), np.float64)
+        self.maps = np.zeros((facets, k, 3), np.float64)
+
+    def sort(self) -> None:
+        """Best first."""
+        order = np.argsort(self.errors, axis=1, kind="stable")
+        self.errors = np.take_along_axis(self.errors, order, 1)
+        self.offsets = np.take_along_axis(self.offsets, order[..., None], 1)
+        self.maps = np.take_along_axis(self.maps, order[..., None], 1)
+
+    def candidates(self, lens: Lens, most: int) -> Candidates:
+        """The best ``most`` of every facet, +y up."""
+        n = lens.facets
+        return Candidates(
+            (self.offsets[:, :most] * (1, -1)).reshape(n, n, -1, 2).astype(np.float32),
+            (self.maps[:, :most] * (1, -1, 1)).reshape(n, n, -1, 3).astype(np.float32),
+            self.errors[:, :most].reshape(n, n, -1),
+        )
+
+
+def optics(scene: Scene) -> tuple[FloatArray, float, float, float, float]:
+    """What the kernels need to know: eye (y down), depth, gap, index, cosine of the slope limit."""
+    lens = scene.lens
+    eye = scene.reference_eye_mm * (1, -1, 1)
+    return eye, lens.thickness_mm, lens.gap_mm, lens.ior, math.cos(math.radians(lens.max_slope_deg))
+
+
+def match(options: Exhaustive, scene: Scene, progress: Progress) -> Candidates:
+    """See ``Exhaustive.match``."""
+    lens, channels = scene.lens, stack_channels(scene)
+    tiles = channels.tiles(lens.facets, options.pixels).reshape(-1, len(channels.target), *(options.pixels,) * 2)
+    centres = lens.facet_centres_mm().reshape(-1, 2) * (1, -1)
+    pool = Pool(len(tiles), math.ceil(math.sqrt(options.candidates)))
+    window, step = options.window.mm(lens.source_size_mm) / 2, options.step.mm(lens.source_size_mm)
+    search_all(options, scene, channels, tiles, centres, window, step, pool, progress)
+    if not np.isfinite(pool.errors).any(axis=1).all():
+        bad = int(np.flatnonzero(~np.isfinite(pool.errors).any(axis=1))[0])
+        raise InputError(
+            f"facet (row {bad // lens.facets}, column {bad % lens.facets}) reaches no patch of the source: "
+            "use a smaller window or scales, a thicker lens, a larger gap or max_slope, or a larger source"
+        )
+    pool.sort()
+    widths = (0.0, 0.15, 0.3, 0.5)
+    polish(
+        tiles, blur_levels(channels.source, channels.source_px_mm, widths), np.array(widths),
+        1 / channels.source_px_mm, centres, lens.pitch_mm, window, step, options.polish, 10, options.maps == "scale",
+        *optics(scene), pool.errors, pool.offsets, pool.maps,
+    )
+    pool.sort()
+    return pool.candidates(lens, options.candidates)
+
+
+def search_all(
+    options: Exhaustive, scene: Scene, channels: Channels, tiles: FloatArray, centres: FloatArray,
+    window: float, step: float, pool: Pool, progress: Progress,
+) -> None:
+    """Search every raster; rasters that share their x axis share its footprint averages."""
+    size, source = scene.lens.source_size_mm, channels.source
+    px = scene.lens.pitch_mm / options.pixels
+    per_side = options.pixels // rasters.BLOCK
+    blocks = tiles.reshape(*tiles.shape[:2], per_side, rasters.BLOCK, per_side, rasters.BLOCK).mean(axis=(3, 5))
+    symmetric = options.maps == "symmetric"
+    pairs = list(itertools.product(options.scales, repeat=2)) if symmetric else [(s, s) for s in options.scales]
+    for done, (sx, group) in enumerate(itertools.groupby(pairs, key=lambda p: p[0])):
+        x = rasters.axis(sx, px, step, size)
+        columns = rasters.average_columns(source, *rasters.footprints(x, sx * px, size, source.shape[2]))
+        for _, sy in group:
+            y = rasters.axis(sy, px, step, size)
+            taps = rasters.footprints(y, sy * px, size, source.shape[1])
+            samples, means = rasters.build(columns, *taps, x, y)
+            search(
+                tiles, blocks, samples, means, sx, sy, x.spacing_mm, y.spacing_mm, x.count, y.count, x.skip, y.skip,
+                centres, window, step, pool.buckets, symmetric, *optics(scene), pool.errors, pool.offsets, pool.maps,
+            )
+        progress((done + 1) / len({p[0] for p in pairs}))

@@ -1,0 +1,38 @@
+"""The exhaustive matcher: every offset of the search window at every map of a scale grid, then polishing (4.2)."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from magiclens.artifacts import Candidates, Scene
+from magiclens.errors import InputError
+from magiclens.stages import Matcher, Progress, silent
+from magiclens.units import LengthOrPercent, relative
+
+
+class Exhaustive(Matcher):
+    """Exact search over offsets and axis-aligned maps, pruned by a lower bound; best per bucket; polished."""
+
+    type: ClassVar[str] = "exhaustive"
+
+    window: LengthOrPercent = Field(relative("10%"), description="side of the search window, of the source's width")
+    scales: tuple[float, ...] = Field(
+        (0.1, 0.15, 0.25, 0.4, 0.6, 0.85, 1.2), min_length=1, description="magnitudes of the map along each axis"
+    )
+    maps: Literal["symmetric", "scale"] = Field(
+        "symmetric", description="`scale`: the paper's isotropic scales only; `symmetric`: flips, anisotropy, shear"
+    )
+    candidates: int = Field(64, ge=1, le=400, description="candidates kept per facet, at most")
+    pixels: Literal[4, 8, 16] = Field(8, description="pixels per tile side in the search")
+    step: LengthOrPercent = Field(relative("0.13mm"), description="distance between neighbouring offsets")
+    polish: int = Field(16, ge=0, description="candidates per facet that are polished; 0: lattice positions only")
+
+    def match(self, scene: Scene, rng: np.random.Generator, progress: Progress = silent) -> Candidates:
+        """Search, polish, sort. Raises InputError when some facet reaches no patch at all."""
+        from magiclens.matching.driver import match
+
+        return match(self, scene, progress)

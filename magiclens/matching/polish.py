@@ -1,0 +1,157 @@
+"""Continuous polishing of candidates: the offset and the symmetric map, by Levenberg-Marquardt.
+
+The search tries offsets and maps on a lattice; a patch that almost fits is then moved, scaled and sheared until its
+edges fall on the tile's edges. The map stays symmetric, so that a smooth lenslet can still realise it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit, prange
+
+from magiclens.artifacts import FloatArray
+from magiclens.images import to_display
+from magiclens.matching.search import distance_term, reachable
+
+PARAMETERS = 5
+"""Offset x, y and map xx, xy, yy."""
+
+
+def blur_levels(source: FloatArray, source_px_mm: float, widths_mm: tuple[float, ...]) -> FloatArray:
+    """(L, C, H, W) float32 display values: the source (C, H, W, linear light) averaged over boxes of these widths."""
+    from scipy.ndimage import uniform_filter
+
+    out = []
+    for width in widths_mm:
+        n = round(width / source_px_mm)
+        out.append(to_display(uniform_filter(source, (0, n, n), mode="nearest") if n > 1 else source))
+    return np.stack(out).astype(np.float32)
+
+
+@njit(cache=True, fastmath=True)
+def _sample(image, x, y):  # type: ignore[no-untyped-def]
+    """Bilinear value and its derivatives per pixel at column x and row y."""
+    h, w = image.shape
+    x = min(max(x, 0.0), w - 1.001)
+    y = min(max(y, 0.0), h - 1.001)
+    ix, iy = int(x), int(y)
+    fx, fy = np.float32(x - ix), np.float32(y - iy)
+    a, b = image[iy, ix], image[iy, ix + 1]
+    c, d = image[iy + 1, ix], image[iy + 1, ix + 1]
+    top, low = a + (b - a) * fx, c + (d - c) * fx
+    return top + (low - top) * fy, (b - a) * (1 - fy) + (d - c) * fy, low - top
+
+
+@njit(cache=True, fastmath=True)
+def _normal_equations(tile, levels, widths, per_mm, cx, cy, px, p, jtj, jtr, derive):  # type: ignore[no-untyped-def]
+    """Mean squared difference of parameters p; J^T J and J^T r of the residuals too if ``derive``."""
+    channels, pixels, _ = tile.shape
+    seen = px * math.sqrt(abs(p[2] * p[4] - p[3] * p[3]))
+    level = 0
+    while level + 1 < len(widths) and widths[level + 1] < 1.4 * seen:
+        level += 1
+    half_w, half_h = 0.5 * levels.shape[3] - 0.5, 0.5 * levels.shape[2] - 0.5
+    j = np.zeros(PARAMETERS, np.float32)
+    if derive:
+        jtj[:] = 0.0
+        jtr[:] = 0.0
+    total = np.float32(0.0)
+    for ky in range(pixels):
+        v = (ky - 0.5 * (pixels - 1)) * px
+        for kx in range(pixels):
+            u = (kx - 0.5 * (pixels - 1)) * px
+            x = (cx + p[0] + p[2] * u + p[3] * v) * per_mm + half_w
+            y = (cy + p[1] + p[3] * u + p[4] * v) * per_mm + half_h
+            for c in range(channels):
+                s, gx, gy = _sample(levels[level, c], x, y)
+                r = s - tile[c, ky, kx]
+                total += r * r
+                if derive:
+                    j[0], j[1] = gx, gy
+                    j[2], j[3], j[4] = gx * u, gx * v + gy * u, gy * v
+                    for m in range(PARAMETERS):
+                        jtr[m] += j[m] * r
+                        for n in range(m + 1):
+                            jtj[m, n] += j[m] * j[n]
+    return total / (channels * pixels * pixels)
+
+
+@njit(cache=True)
+def _solve(jtj, jtr, damping, per_mm, isotropic, step):  # type: ignore[no-untyped-def]
+    """Damped Gauss-Newton step by Cholesky; isotropic: only the offset and one scale may change."""
+    n = 3 if isotropic else PARAMETERS
+    a = np.zeros((n, n))
+    b = np.zeros(n)
+    to = np.array([0, 1, 2, -1, 2]) if isotropic else np.arange(PARAMETERS)
+    for m in range(PARAMETERS):
+        if to[m] < 0:
+            continue
+        b[to[m]] -= jtr[m] * per_mm
+        for k in range(PARAMETERS):
+            if to[k] >= 0:
+                a[to[m], to[k]] += jtj[max(m, k), min(m, k)] * per_mm * per_mm
+    trace = 0.0
+    for m in range(n):
+        trace += a[m, m]
+    for m in range(n):
+        a[m, m] += damping * a[m, m] + 1e-9 * trace + 1e-9
+    x = np.linalg.solve(a, b)
+    for m in range(PARAMETERS):
+        step[m] = x[to[m]] if to[m] >= 0 else 0.0
+
+
+@njit(cache=True, parallel=True)
+def polish(  # type: ignore[no-untyped-def]
+    tiles, levels, widths, per_mm, centres, pitch, window, step_mm, most, iterations, isotropic,
+    eye, depth, gap, ior, cos_limit, errors, offsets, maps
+):
+    """Polish the first ``most`` candidates of every facet in place; the arrays are those of ``search.search``.
+
+    tiles: (F, C, P, P) display values. levels: (L, C, H, W), see ``blur_levels``; widths: (L,) mm. All candidates
+    (polished or not) get their error at the sub-pixel position, so that they can be compared.
+    """
+    window_px = 2.0 * window / step_mm
+    px = pitch / tiles.shape[2]
+    edge = 0.5 * levels.shape[3] / per_mm
+    for f in prange(len(tiles)):
+        jtj = np.zeros((PARAMETERS, PARAMETERS), np.float32)
+        jtr = np.zeros(PARAMETERS, np.float32)
+        step = np.zeros(PARAMETERS)
+        p, q = np.zeros(PARAMETERS), np.zeros(PARAMETERS)
+        cx, cy = centres[f, 0], centres[f, 1]
+        for k in range(errors.shape[1]):
+            if not np.isfinite(errors[f, k]):
+                continue
+            p[0], p[1] = offsets[f, k, 0], offsets[f, k, 1]
+            p[2], p[3], p[4] = maps[f, k, 0], maps[f, k, 1], maps[f, k, 2]
+            damping = 1e-2
+            best = _normal_equations(tiles[f], levels, widths, per_mm, cx, cy, px, p, jtj, jtr, k < most)
+            for _ in range(iterations if k < most else 0):
+                _solve(jtj, jtr, damping, per_mm, isotropic, step)
+                q[:] = p + step
+                spread_x = 0.5 * pitch * (abs(q[2]) + abs(q[3]))
+                spread_y = 0.5 * pitch * (abs(q[3]) + abs(q[4]))
+                inside = (
+                    abs(q[0]) <= window and abs(q[1]) <= window
+                    and abs(cx + q[0]) + spread_x <= edge and abs(cy + q[1]) + spread_y <= edge
+                    and reachable(cx, cy, q[0], q[1], q[2], q[3], q[4], 0.5 * pitch, eye, depth, gap, ior, cos_limit)
+                )
+                trial = np.float32(np.inf)
+                if inside:
+                    trial = _normal_equations(tiles[f], levels, widths, per_mm, cx, cy, px, q, jtj, jtr, False)
+                if trial < best:
+                    gain = best - trial
+                    p[:] = q
+                    damping *= 0.3
+                    best = _normal_equations(tiles[f], levels, widths, per_mm, cx, cy, px, p, jtj, jtr, True)
+                    if gain < 1e-3 * best:
+                        break
+                else:
+                    damping *= 6.0
+                    if damping > 1e4:
+                        break
+            errors[f, k] = best + distance_term(p[0], p[1], window_px, step_mm)
+            offsets[f, k, 0], offsets[f, k, 1] = p[0], p[1]
+            maps[f, k, 0], maps[f, k, 1], maps[f, k, 2] = p[2], p[3], p[4]

@@ -1,0 +1,86 @@
+"""From heights to a closed mesh: one regular grid of vertices on top, sides, a flat bottom. Manifold by construction."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from magiclens.artifacts import FloatArray, HeightField, IntArray, Lens, Solid
+
+
+def grid_lines(lens: Lens) -> FloatArray:
+    """(G,) float64: where the top's grid lines cross the x axis of the reference plane, mm, G = N (m + 1) + 2.
+
+    Every facet owns m + 1 lines; a wall lies between the last line of one facet and the first of the next; half a wall
+    forms the rim. The y axis has the same lines, negated in order.
+    """
+    side = lens.pitch_mm - lens.wall_mm
+    within = np.linspace(-side / 2, side / 2, lens.microfacets + 1)
+    centres = (np.arange(lens.facets) + 0.5) * lens.pitch_mm - lens.size_mm / 2
+    edge = lens.size_mm / 2
+    return np.concatenate([[-edge], (centres[:, None] + within).ravel(), [edge]])
+
+
+def height_grid(heights: HeightField) -> FloatArray:
+    """(G, G) heights on the grid lines, rows from +y down; the rim repeats its neighbour's height."""
+    n, _, k, _ = heights.heights_mm.shape
+    return np.pad(heights.heights_mm.transpose(0, 2, 1, 3).reshape(n * k, n * k), 1, mode="edge")
+
+
+def solid_from_heights(heights: HeightField) -> Solid:
+    """The slab under a height field: top grid, sides along the cutting rays, flat bottom at z = 0."""
+    lens, eye = heights.lens, heights.eye_mm
+    lines = grid_lines(lens)
+    h = height_grid(heights)
+    u, v = np.meshgrid(lines, -lines)
+    plane = np.stack([u, v, np.full_like(u, lens.thickness_mm)], axis=-1)
+    top = _lift(plane, h, eye)
+    rim = _rim(len(lines))
+    floor = _drop(plane.reshape(-1, 3)[rim], eye)
+    vertices = np.concatenate([top.reshape(-1, 3), floor, floor.mean(axis=0, keepdims=True)])
+    faces = np.concatenate([_top_faces(len(lines)), _side_faces(rim, len(lines) ** 2), _floor_faces(rim, len(lines) ** 2)])
+    solid = Solid(vertices, faces.astype(np.int32), h.shape, eye)
+    return Solid(vertices, solid.faces, h.shape, eye, {"volume_mm3": volume(solid)})
+
+
+def volume(solid: Solid) -> float:
+    """Volume in mm^3 (divergence theorem), positive for outward normals."""
+    a, b, c = (solid.vertices[solid.faces[:, k]] for k in range(3))
+    return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6)
+
+
+def _lift(plane: FloatArray, h: FloatArray, eye: FloatArray | None) -> FloatArray:
+    if eye is None:
+        return plane + np.stack([np.zeros_like(h), np.zeros_like(h), h], axis=-1)
+    return eye + np.exp(-h / (eye[2] - plane[0, 0, 2]))[..., None] * (plane - eye)
+
+
+def _drop(plane: FloatArray, eye: FloatArray | None) -> FloatArray:
+    """Points of the reference plane (V, 3) moved down to z = 0 along their rays."""
+    if eye is None:
+        return plane * (1, 1, 0)
+    down = eye + (plane - eye) * (eye[2] / (eye[2] - plane[:, 2:]))
+    return down * (1, 1, 0)
+
+
+def _rim(g: int) -> IntArray:
+    """Indices of the grid's border vertices, counter-clockwise as the viewer sees them."""
+    index = np.arange(g * g).reshape(g, g)
+    return np.concatenate([index[:-1, 0], index[-1, :-1], index[:0:-1, -1], index[0, :0:-1]])
+
+
+def _top_faces(g: int) -> IntArray:
+    index = np.arange(g * g).reshape(g, g)
+    tl, tr, bl, br = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+    return np.stack([tl, bl, br, tl, br, tr], axis=-1).reshape(-1, 3)
+
+
+def _side_faces(rim: IntArray, first: int) -> IntArray:
+    """Two triangles between each border edge and the floor edge below it (floor vertices start at ``first``)."""
+    low = first + np.arange(len(rim))
+    a, b, c, d = rim, np.roll(rim, -1), low, np.roll(low, -1)
+    return np.concatenate([np.stack([a, c, d], axis=-1), np.stack([a, d, b], axis=-1)])
+
+
+def _floor_faces(rim: IntArray, first: int) -> IntArray:
+    low = first + np.arange(len(rim))
+    return np.stack([low, np.full_like(low, first + len(rim)), np.roll(low, -1)], axis=-1)

@@ -1,0 +1,225 @@
+"""From a spec and the registry to a frozen plan: every stage chosen, every option known, every mistake found."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from magiclens.artifacts import Lens, Scene
+from magiclens.registry import ART, SCENARIO, STAGE, Plugin, Registry
+from magiclens.scenarios.base import Scenario
+from magiclens.spec.checker import Checker
+from magiclens.spec.document import Document, Keys, read_document
+from magiclens.spec.fields import Context, Inputs
+from magiclens.spec.load import check_spec
+from magiclens.spec.model import DEFAULT_STAGES, Choice, PipelineSpec, Spec
+from magiclens.spec.suggest import advice, unknown
+from magiclens.stages import Annealer, Exporter, Finisher, Integrator, Matcher, Renderer, Stage
+
+S = TypeVar("S", bound=Stage)
+LISTS = {"exporters": "exporter", "renderers": "renderer"}
+"""Keys of the pipeline that take several stages, and their kind."""
+
+
+@dataclass(frozen=True)
+class Step(Generic[S]):
+    """A stage that a spec chose, with its options, and the plugin it comes from."""
+
+    stage: S
+    plugin: Plugin
+
+    @property
+    def name(self) -> str:
+        """Kind and type, such as ``matcher exhaustive``."""
+        return f"{self.stage.kind} {self.stage.type}"
+
+    def __str__(self) -> str:
+        return f"{self.name} ({self.plugin})"
+
+    def choice(self, inputs: Inputs | None = None) -> dict[str, Any]:
+        """The stage as a spec writes it, every option explicit."""
+        return {"type": self.stage.type, **self.stage.model_dump(mode="json", context={"inputs": inputs})}
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Everything a run does, in pipeline order."""
+
+    spec: Spec
+    lens: Lens
+    scenario: Scenario
+    matcher: Step[Matcher]
+    annealer: Step[Annealer]
+    integrator: Step[Integrator]
+    finisher: Step[Finisher]
+    exporters: tuple[Step[Exporter], ...]
+    renderers: tuple[Step[Renderer], ...]
+    registry: Registry = field(repr=False, compare=False)
+
+    @property
+    def steps(self) -> tuple[Step[Any], ...]:
+        """All stages, in pipeline order."""
+        return (self.matcher, self.annealer, self.integrator, self.finisher, *self.exporters, *self.renderers)
+
+    def scene(self) -> Scene:
+        """The lens and its views, pictures loaded."""
+        return Scene(self.lens, self.scenario.views(self.lens, self.spec.viewer, self.registry.art))
+
+    def resolved(self, inputs: Inputs | None = None) -> dict[str, Any]:
+        """The spec with every default written out. ``inputs`` collects its files and makes their paths portable."""
+        spec = self.spec.model_dump(mode="json", exclude_none=True)
+        scenario = self.scenario.model_dump(mode="json", exclude_none=True, context={"inputs": inputs})
+        single = {step.stage.kind: step.choice(inputs) for step in self.steps[: len(DEFAULT_STAGES)]}
+        several = {key: [step.choice(inputs) for step in getattr(self, key)] for key in LISTS}
+        rematch = {"rematch": self.spec.pipeline.rematch}
+        return {
+            **spec,
+            "scenario": {"type": self.scenario.type, **scenario},
+            "pipeline": {**single, **several, **rematch},
+        }
+
+
+def load_plan(path: str | Path, overrides: Iterable[str] = (), registry: Registry | None = None) -> Plan:
+    """Read a spec, lay ``key.path=value`` overrides over it and compile it.
+
+    Raises InputError naming the first mistake in file order, StageError when two packages claim a chosen stage.
+    """
+    return compile_plan(read_document(path, overrides), registry or Registry.load())
+
+
+def compile_plan(document: Document, registry: Registry) -> Plan:
+    """Resolve a document against the registry. Raises like ``load_plan``."""
+    return _Compiler(document, registry).plan()
+
+
+class _Compiler:
+    """Resolves the parts of one document, whatever else is wrong with it, so that the first mistake can be named."""
+
+    def __init__(self, document: Document, registry: Registry):
+        self._document, self._registry = document, registry
+        self._checker = Checker(document, Context(folder=document.folder, art=registry.types(ART)))
+
+    def plan(self) -> Plan:
+        """The plan, or the first mistake."""
+        spec = check_spec(self._document, self._checker)
+        scenario = self._scenario()
+        steps = self._steps()
+        lens = self._fit(spec, scenario) if spec and scenario else None
+        settle = self._checker.settle
+        return Plan(
+            spec=settle(spec),
+            lens=settle(lens),
+            scenario=settle(scenario),
+            matcher=settle(steps["matcher"][0]),
+            annealer=settle(steps["annealer"][0]),
+            integrator=settle(steps["integrator"][0]),
+            finisher=settle(steps["finisher"][0]),
+            exporters=tuple(settle(step) for step in steps["exporters"]),
+            renderers=tuple(settle(step) for step in steps["renderers"]),
+            registry=self._registry,
+        )
+
+    def _scenario(self) -> Scenario | None:
+        written = self._document.data.get("scenario")
+        if not isinstance(written, dict):
+            return None
+        found = self._pick(("scenario",), written, SCENARIO)
+        return self._options(found[0], written, ("scenario",), "key") if found else None
+
+    def _steps(self) -> dict[str, list[Step[Any] | None]]:
+        """The stages at each key of the pipeline; None where something is wrong, nothing if the pipeline itself is."""
+        pipeline = self._checker.validate(PipelineSpec, self._document.data.get("pipeline", {}), ("pipeline",))
+        if pipeline is None:
+            return defaultdict(lambda: [None])
+        single = {kind: [self._step(kind, getattr(pipeline, kind), ("pipeline", kind))] for kind in DEFAULT_STAGES}
+        several = {key: self._list(key, getattr(pipeline, key)) for key in LISTS}
+        return {**single, **several}
+
+    def _list(self, key: str, choices: list[Choice]) -> list[Step[Any] | None]:
+        """The stages of a list; no two of them may write the same files."""
+        steps = [self._step(LISTS[key], choice, ("pipeline", key, i)) for i, choice in enumerate(choices)]
+        files = [_writes(step.stage) if step else None for step in steps]
+        for i, file in enumerate(files):
+            if file and file in files[:i]:
+                self._checker.add(("pipeline", key, i), f"an earlier one writes {file} already; keep one of them")
+        return steps
+
+    def _step(self, kind: str, choice: Choice, at: Keys) -> Step[Any] | None:
+        found = self._pick(at, choice, STAGE, kind)
+        stage = self._options(found[0], choice, at, "option") if found else None
+        return Step(stage, found[1]) if found and stage else None
+
+    def _pick(self, at: Keys, choice: Choice, *table: str) -> tuple[type[Any], Plugin] | None:
+        """The class that a mapping's ``type`` names, and its plugin."""
+        if "type" not in choice:
+            self._checker.add((*at, "type"), f"this key is required; {advice('', self._registry.types(*table))}")
+            return None
+        found = self._registry.find(*table, str(choice["type"]))
+        if found is None:
+            self._checker.add((*at, "type"), self._unknown(choice["type"], *table))
+        return found
+
+    def _unknown(self, type_: object, *table: str) -> str:
+        failed = len(self._registry.failures)
+        hint = f" ({failed} plugin failures: see 'mlens plugins')" if failed else ""
+        return unknown(table[-1], type_, self._registry.types(*table)) + hint
+
+    def _options(self, cls: type[Any], choice: Choice, at: Keys, noun: str) -> Any:
+        options = {key: value for key, value in choice.items() if key != "type"}
+        return self._checker.validate(cls, options, at, noun)
+
+    def _fit(self, spec: Spec, scenario: Scenario) -> Lens | None:
+        try:
+            return scenario.fit(spec.lens.build(), spec.viewer)
+        except ValueError as error:
+            self._checker.add(("scenario",), str(error))
+            return None
+
+
+def _writes(stage: Stage) -> str:
+    """The files in a run folder that a stage calls its own."""
+    return f"lens{stage.suffix}" if isinstance(stage, Exporter) else f"renders/{stage.type}"
+
+
+def describe(plan: Plan) -> str:
+    """The compiled pipeline as text: the lens, every view, every stage with every option."""
+    return "\n".join([*_lens_lines(plan), "", *_view_lines(plan), "", *_stage_lines(plan)])
+
+
+def _lens_lines(plan: Plan) -> list[str]:
+    lens = plan.lens
+    rows = {
+        "name": plan.spec.name,
+        "seed": plan.spec.seed,
+        "lens": f"{lens.size_mm:g} mm, {lens.facets} x {lens.facets} facets of {lens.pitch_mm:g} mm, "
+        f"{lens.microfacets} x {lens.microfacets} micro-facets each, cells {lens.cells}",
+        "slab": f"{lens.thickness_mm:g} mm thick, relief {lens.relief_mm:g} mm, wall {lens.wall_mm:g} mm, "
+        f"slope at most {lens.max_slope_deg:g} deg, ior {lens.ior:g}",
+        "source": f"{lens.source_size_mm:g} mm, {lens.gap_mm:g} mm below the slab",
+    }
+    return [f"{key:9}{value}" for key, value in rows.items()]
+
+
+def _view_lines(plan: Plan) -> list[str]:
+    shots = plan.scenario.shots(plan.lens, plan.spec.viewer)
+    head = f"scenario {plan.scenario.type}: {len(shots)} view{'s' if len(shots) > 1 else ''}"
+    return [head, *(f"  {shot}" for shot in shots)]
+
+
+def _stage_lines(plan: Plan) -> list[str]:
+    lines = [f"pipeline, rematch {plan.spec.pipeline.rematch}"]
+    for step in plan.steps:
+        lines.append(f"  {step}, version {step.stage.version}")
+        lines += [f"    {key}: {_inline(value)}" for key, value in step.choice().items() if key != "type"]
+    return lines
+
+
+def _inline(value: Any) -> str:
+    """A value as YAML writes it on one line."""
+    if isinstance(value, list):
+        return f"[{', '.join(map(_inline, value))}]"
+    return value if isinstance(value, str) else json.dumps(value)

@@ -1,0 +1,1 @@
+"""Renderers: what the eye of each view sees through the finished solid."""

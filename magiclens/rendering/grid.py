@@ -1,0 +1,46 @@
+"""The top of a solid as a height field over the reference plane, in coordinates in which its cells are upright.
+
+Cells cut along eye rays become upright under the projective map (x, y, z) -> (u, v, w): (u, v) is where the line from
+the cutting eye through the point meets the reference plane, and w = D / (eye_z - z), D the eye's distance from that
+plane. The map keeps lines straight and planes flat, so rays and triangles may be intersected in (u, v, w)
+exactly as in space. Vertical cells need no map: (u, v, w) = (x, y, z).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from magiclens.artifacts import FloatArray, Lens, Solid
+from magiclens.errors import InputError
+
+
+@dataclass(frozen=True)
+class Grid:
+    """us: (columns,) ascending. vs: (rows,) descending. ws: (rows, columns). points: (rows, columns, 3) mm.
+
+    eye: (3,) of the cutting eye, or (0, 0, 0) if ``vertical``. plane: D, the eye's distance from the plane.
+    """
+
+    us: FloatArray
+    vs: FloatArray
+    ws: FloatArray
+    points: FloatArray
+    eye: FloatArray
+    plane: float
+    vertical: bool
+
+
+def grid_of(solid: Solid, lens: Lens) -> Grid:
+    """The grid of a solid's top. Raises InputError if a finisher has turned it into a free mesh."""
+    if solid.grid is None:
+        raise InputError("the built-in tracer needs the top's regular grid, which a finisher has removed; use mitsuba")
+    rows, columns = solid.grid
+    points = solid.vertices[: rows * columns].reshape(rows, columns, 3)
+    if solid.eye_mm is None:
+        return Grid(points[0, :, 0].copy(), points[:, 0, 1].copy(), points[..., 2].copy(), points, np.zeros(3), 1.0, True)
+    eye, plane = solid.eye_mm, float(solid.eye_mm[2] - lens.thickness_mm)
+    w = plane / (eye[2] - points[..., 2])
+    flat = eye[:2] + (points[..., :2] - eye[:2]) * w[..., None]
+    return Grid(flat[0, :, 0].copy(), flat[:, 0, 1].copy(), w, points, eye, plane, False)

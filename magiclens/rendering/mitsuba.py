@@ -1,0 +1,214 @@
+"""Path tracing of the solid as it is exported, by Mitsuba 3: an independent check of the built-in tracer.
+
+The lens stays as the file holds it; a lens rotation turns the source and the eye the other way round instead, which
+shows the same picture and leaves the vertices untouched.
+
+Conventions of Mitsuba that matter here: the v axis of a ``rectangle`` grows with the bitmap's rows from -y to +y, so
+bitmaps are handed over bottom row first; a camera that looks straight down with +y up has +x on its right; a positive
+``principal_point_offset`` moves what is seen left and up, by shares of the film's width and height.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from ctypes.util import find_library
+from functools import cache
+from math import atan, degrees
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from magiclens.artifacts import FloatArray, Lens, Scene, Solid, View
+from magiclens.errors import StageError
+from magiclens.stages import Progress, Renderer, silent
+
+SMALLEST_GAP_MM = 0.05
+"""A source that is closer to the slab's bottom is skipped by Mitsuba's ray epsilon."""
+
+LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
+
+_PROBE = f"""
+import ctypes, os, sys
+library = sys.argv[1]
+try:
+    ctypes.CDLL(library)
+except OSError:
+    sys.exit(f"cannot load {{library}}")
+os.environ["{LLVM_VARIABLE}"] = library
+import mitsuba as mi
+mi.set_variant("llvm_ad_rgb")
+view = mi.ScalarTransform4f().look_at(origin=[0, 0, 3], target=[0, 0, 0], up=[0, 1, 0])
+scene = mi.load_dict({{
+    "type": "scene",
+    "integrator": {{"type": "path", "max_depth": 4}},
+    "ball": {{"type": "sphere", "radius": 0.5, "bsdf": {{"type": "dielectric"}}}},
+    "light": {{"type": "constant"}},
+    "sensor": {{"type": "perspective", "to_world": view, "film": {{"type": "hdrfilm", "width": 8, "height": 8}}}},
+}})
+brightness = float(sum(mi.render(scene, spp=4).array) / (8 * 8 * 3))
+sys.exit(0 if 0.9 < brightness < 1.1 else f"a clear ball in a white world is {{brightness}} bright")
+"""
+
+
+class Mitsuba(Renderer):
+    """Path traces the mesh as exported: float32 vertices, flat faces, a smooth or a rough (GGX) dielectric."""
+
+    type: ClassVar[str] = "mitsuba"
+
+    samples: int = Field(64, ge=4, description="paths per pixel: 4, 16, 64, 256, ... (stratified in squares)")
+    resolution: int = Field(256, ge=1, description="pixels along the picture's side")
+    roughness: float = Field(
+        0.0, ge=0.0, le=1.0, description="GGX alpha of the surface (Walter et al. 2007); 0: smooth"
+    )
+    variant: Literal["auto", "llvm_ad_rgb", "scalar_rgb"] = Field(
+        "auto", description="Mitsuba's variant; `auto`: compiled by LLVM (17 or newer) if that works here, else scalar"
+    )
+    max_depth: int = Field(8, ge=3, description="longest path, in surfaces; 3: straight through to the source")
+    seed: int = Field(0, ge=0, description="seed of the samples; equal seeds give equal pictures")
+
+    @field_validator("samples")
+    @classmethod
+    def _is_power_of_four(cls, samples: int) -> int:
+        """Only then are Mitsuba's strata square, and LLVM's sums over a pixel always in the same order."""
+        below = 4 ** ((samples.bit_length() - 1) // 2)
+        if samples != below:
+            raise ValueError(f"must be a power of four; the nearest are {below} and {4 * below}")
+        return samples
+
+    def render(self, scene: Scene, solid: Solid, progress: Progress = silent) -> list[FloatArray]:
+        """One (resolution, resolution, C) float32 picture per view, in linear light."""
+        import mitsuba as mi
+
+        mi.set_variant(_prepare(self.variant))
+        lens = self._lens(solid, scene.lens.ior)
+        pictures = []
+        for index, view in enumerate(scene.views):
+            world = mi.load_dict(self._world(scene.lens, lens, view))
+            picture = np.asarray(mi.render(world, seed=mi.UInt32(self.seed + index)), np.float32)
+            pictures.append(np.ascontiguousarray(picture[..., : view.source.shape[-1]]))
+            progress((index + 1) / len(scene.views))
+        return pictures
+
+    def _lens(self, solid: Solid, ior: float) -> Any:
+        """The mesh, with the vertices that an STL file holds; without vertex normals its faces are flat."""
+        import mitsuba as mi
+
+        properties = mi.Properties()
+        properties["bsdf"] = mi.load_dict(self._glass(ior))
+        mesh = mi.Mesh("lens", len(solid.vertices), len(solid.faces), props=properties)
+        parameters = mi.traverse(mesh)
+        parameters["vertex_positions"] = solid.vertices.astype(np.float32).ravel()
+        parameters["faces"] = solid.faces.astype(np.uint32).ravel()
+        parameters.update()
+        return mesh
+
+    def _glass(self, ior: float) -> dict[str, Any]:
+        glass = {"type": "dielectric", "int_ior": ior, "ext_ior": 1.0}
+        if self.roughness > 0:
+            glass |= {"type": "roughdielectric", "distribution": "ggx", "alpha": self.roughness}
+        return glass
+
+    def _world(self, lens: Lens, mesh: Any, view: View) -> dict[str, Any]:
+        """The lens as it is, over the source and under the eye, both turned back by the lens rotation."""
+        from mitsuba import ScalarTransform4f
+
+        turn = ScalarTransform4f().rotate([0, 0, 1], -view.rotation_deg)
+        return {
+            "type": "scene",
+            # The block size is pinned since the samples' seeds depend on it, and its default on the number of cores.
+            "integrator": {"type": "path", "max_depth": self.max_depth, "rr_depth": self.max_depth, "block_size": 32},
+            "lens": mesh,
+            "source": _source(lens, view, turn),
+            "sensor": self._eye(lens, view, turn),
+        }
+
+    def _eye(self, lens: Lens, view: View, turn: Any) -> dict[str, Any]:
+        """A pinhole that looks straight down, its film the lens's square on the reference plane."""
+        from mitsuba import ScalarTransform4f
+
+        x, y, z = (float(c) for c in view.eye_mm)
+        distance = z - lens.thickness_mm
+        straight_down = ScalarTransform4f().look_at(origin=[x, y, z], target=[x, y, 0.0], up=[0, 1, 0])
+        return {
+            "type": "perspective",
+            "fov": degrees(2 * atan(lens.size_mm / 2 / distance)),
+            "principal_point_offset_x": -x / lens.size_mm,
+            "principal_point_offset_y": y / lens.size_mm,
+            "near_clip": distance / 10,
+            "far_clip": 10 * (z + lens.gap_mm),
+            "to_world": turn @ straight_down,
+            "film": {
+                "type": "hdrfilm",
+                "width": self.resolution,
+                "height": self.resolution,
+                "rfilter": {"type": "box"},
+                "pixel_format": "rgb",
+            },
+            "sampler": {"type": "multijitter", "sample_count": self.samples},
+        }
+
+
+def _source(lens: Lens, view: View, turn: Any) -> dict[str, Any]:
+    """The source as light that leaves a plane evenly into all directions."""
+    from mitsuba import Bitmap, ScalarTransform4f
+
+    half = lens.source_size_mm / 2
+    bottom_row_first = np.ascontiguousarray(view.source[::-1], np.float32)
+    light = {"type": "bitmap", "bitmap": Bitmap(bottom_row_first), "raw": True, "wrap_mode": "clamp"}
+    place = ScalarTransform4f().translate([0, 0, -max(lens.gap_mm, SMALLEST_GAP_MM)]).scale([half, half, 1])
+    return {
+        "type": "rectangle",
+        "to_world": turn @ place,
+        # Paths end here; a black surface would end them too, but only after a shadow ray.
+        "bsdf": {"type": "null"},
+        "emitter": {"type": "area", "radiance": light},
+    }
+
+
+def _prepare(variant: str) -> str:
+    """The variant to use, with Dr.Jit told which LLVM library works."""
+    if variant == "scalar_rgb":
+        return variant
+    library = working_llvm()
+    if library is not None:
+        os.environ[LLVM_VARIABLE] = library
+        return "llvm_ad_rgb"
+    if variant == "auto":
+        return "scalar_rgb"
+    raise StageError(
+        f"Mitsuba's {variant} does not work here: install LLVM 17 or newer, or name its library in {LLVM_VARIABLE}; "
+        "'variant: scalar_rgb' needs neither"
+    )
+
+
+@cache
+def working_llvm() -> str | None:
+    """The LLVM library that Mitsuba works with here, or None. Tried once per process."""
+    return next((library for library in _llvm_libraries() if _works(library)), None)
+
+
+def _llvm_libraries() -> list[str]:
+    """What the user has set, else the names under which LLVM 17 or newer is installed, tried versions first."""
+    chosen = os.environ.get(LLVM_VARIABLE)
+    if chosen:
+        return [chosen]
+    names = [name for version in (19, 20, 18, 21, 22, 17) for name in _sonames(version)]
+    generic = find_library("LLVM") or find_library("LLVM-C")
+    return [*names, generic] if generic else names
+
+
+def _sonames(version: int) -> tuple[str, str]:
+    """What Linux distributions call the library of one LLVM version."""
+    return f"libLLVM.so.{version}.1", f"libLLVM-{version}.so.1"
+
+
+def _works(library: str) -> bool:
+    """Whether a child process can render with this LLVM library; old ones abort the process that tries."""
+    probe = [sys.executable, "-c", _PROBE, library]
+    try:
+        return subprocess.run(probe, capture_output=True, timeout=120).returncode == 0
+    except subprocess.TimeoutExpired:
+        return False

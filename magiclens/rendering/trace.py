@@ -1,0 +1,261 @@
+"""The built-in ray tracer: what each point of the lens's square shows to an eye, and how strongly.
+
+One path per sample, followed from the eye: where light splits into a refracted and a reflected part, the stronger
+one is followed and its share kept. Rays may leave through walls and enter again. The source is an emitter below the flat
+bottom; whatever ends elsewhere is black.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import njit, prange
+
+from magiclens.artifacts import FloatArray, Lens, Solid, Transport, View
+from magiclens.optics.refraction import refract, transmittance
+from magiclens.rendering.grid import Grid, grid_of
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+MAX_EVENTS = 8
+"""Refractions and reflections after which a path counts as lost."""
+_SPLIT = 1e-12
+
+
+def trace(solid: Solid, lens: Lens, view: View, resolution: int, samples: int) -> FloatArray:
+    """(R, R, samples^2, 3) float32, lens frame: source point x, y (mm, +y up) and transmission of every sub-pixel sample.
+
+    The picture is the lens's square on the reference plane as ``view``'s eye sees it. Transmission is 0 where light is lost.
+    """
+    grid = grid_of(solid, lens)
+    eye = view.in_lens_frame().eye_mm
+    return _trace(
+        grid.us, grid.vs, grid.ws, grid.points, grid.eye, grid.plane, grid.vertical, float(grid.points[..., 2].max()),
+        np.ascontiguousarray(eye), lens.size_mm, lens.thickness_mm, lens.gap_mm, lens.ior, resolution, samples,
+    )
+
+
+def picture(hits: FloatArray, source: FloatArray, source_size_mm: float) -> FloatArray:
+    """(R, R, C) float32, linear light: the traced view of a source (H, W, C) in the same frame, bilinear look-up."""
+    return _picture(hits, np.ascontiguousarray(source, np.float32), source.shape[1] / source_size_mm)
+
+
+def transport(solid: Solid, lens: Lens, view: View, resolution: int, samples: int) -> Transport:
+    """The sparse matrix from the view's source (world frame, its own raster) to the picture (world frame)."""
+    rows, columns = view.source.shape[:2]
+    hits = np.rot90(trace(solid, lens, view, resolution, samples), view.quarter_turns)
+    c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[view.quarter_turns]
+    x, y, weight = hits[..., 0], hits[..., 1], hits[..., 2] / samples**2
+    matrix = _matrix(c * x - s * y, s * x + c * y, weight, rows, columns, columns / lens.source_size_mm)
+    return Transport(matrix, (resolution, resolution), (rows, columns))
+
+
+def _matrix(x: FloatArray, y: FloatArray, weight: FloatArray, rows: int, columns: int, per_mm: float) -> csr_array:
+    """Bilinear weights times transmission; x, y (world frame, mm, +y up) and weight are (R, R, S)."""
+    from scipy.sparse import csr_array
+
+    px = np.clip(x * per_mm + columns / 2 - 0.5, 0, columns - 1.001)
+    py = np.clip(-y * per_mm + rows / 2 - 0.5, 0, rows - 1.001)
+    ix, iy = px.astype(np.int32), py.astype(np.int32)
+    fx, fy = px - ix, py - iy
+    first = iy * columns + ix
+    index = np.stack([first, first + 1, first + columns, first + columns + 1], axis=-1)
+    share = np.stack([(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy], axis=-1) * weight[..., None]
+    pixels, per_pixel = x.shape[0] * x.shape[1], x.shape[2] * 4
+    pointer = np.arange(0, pixels * per_pixel + 1, per_pixel)
+    matrix = csr_array((share.ravel().astype(np.float32), index.ravel(), pointer), shape=(pixels, rows * columns))
+    matrix.sum_duplicates()
+    matrix.eliminate_zeros()
+    return matrix
+
+
+@njit(cache=True)
+def _to_grid(x, y, z, eye, plane, vertical):  # type: ignore[no-untyped-def]
+    if vertical:
+        return x, y, z
+    w = plane / (eye[2] - z)
+    return eye[0] + (x - eye[0]) * w, eye[1] + (y - eye[1]) * w, w
+
+
+@njit(cache=True)
+def _from_grid(u, v, w, eye, plane, vertical):  # type: ignore[no-untyped-def]
+    if vertical:
+        return u, v, w
+    return eye[0] + (u - eye[0]) / w, eye[1] + (v - eye[1]) / w, eye[2] - plane / w
+
+
+@njit(cache=True)
+def _cell(lines, value, descending):  # type: ignore[no-untyped-def]
+    """Index of the interval of ``lines`` that holds ``value``, clipped to the grid."""
+    lo, hi = 0, len(lines) - 1
+    while hi - lo > 1:
+        mid = (lo + hi) // 2
+        if (lines[mid] <= value) != descending:
+            lo = mid
+        else:
+            hi = mid
+    return lo
+
+
+@njit(cache=True)
+def _facing(points, r, c, upper, out):  # type: ignore[no-untyped-def]
+    """Upward unit normal, in space, of the upper-right (tl, br, tr) or lower-left (tl, bl, br) triangle of a cell."""
+    a, d = points[r, c], points[r + 1, c + 1]
+    b = points[r, c + 1] if upper else points[r + 1, c]
+    px, py, pz = d[0] - a[0], d[1] - a[1], d[2] - a[2]
+    qx, qy, qz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    nx, ny, nz = py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx
+    sign = 1.0 if upper else -1.0
+    q = sign / math.sqrt(nx * nx + ny * ny + nz * nz)
+    out[0], out[1], out[2] = nx * q, ny * q, nz * q
+
+
+@njit(cache=True)
+def _march(us, vs, ws, u0, v0, w0, u1, v1, w1, r, c, skip, inside, found):  # type: ignore[no-untyped-def]
+    """Follow the segment from (u0, v0, w0), in cell (r, c), to (u1, v1, w1) until it crosses the surface.
+
+    skip: 1 or 2 leaves out the upper or lower triangle of the first cell, on which the segment starts; 0: none.
+    Returns the fraction of the segment at the crossing, or 2 if there is none, or 3 if it leaves the grid;
+    found = (row, column, 1 upper / 2 lower) of the crossed triangle.
+    """
+    du, dv, dw = u1 - u0, v1 - v0, w1 - w0
+    side = 1.0 if inside else -1.0
+    here = 0.0
+    while True:
+        wide, tall = us[c + 1] - us[c], vs[r] - vs[r + 1]
+        out_u = ((us[c + 1] if du > 0 else us[c]) - u0) / du if du != 0.0 else 2.0
+        out_v = ((vs[r] if dv > 0 else vs[r + 1]) - v0) / dv if dv != 0.0 else 2.0
+        leave = min(out_u, out_v, 1.0)
+        s0, ds = (u0 - us[c]) / wide, du / wide
+        t0, dt = (vs[r] - v0) / tall, -dv / tall
+        a, b, d, e = ws[r, c], ws[r, c + 1], ws[r + 1, c], ws[r + 1, c + 1]
+        bend = (t0 - s0) / (ds - dt) if ds != dt else -1.0
+        middle = here + 0.5 * (leave - here)
+        for piece in range(2):
+            if piece == 0:
+                start, end = here, bend if here < bend < leave else leave
+            else:
+                if not here < bend < leave:
+                    break
+                start, end = bend, leave
+            middle = 0.5 * (start + end)
+            upper = s0 + ds * middle > t0 + dt * middle
+            if skip == (1 if upper else 2):
+                continue
+            if upper:
+                f0, df = a + s0 * (b - a) + t0 * (e - b), ds * (b - a) + dt * (e - b)
+            else:
+                f0, df = a + t0 * (d - a) + s0 * (e - d), dt * (d - a) + ds * (e - d)
+            f0, df = side * (w0 - f0), side * (dw - df)
+            if f0 + df * end > _SPLIT and end > start:
+                found[0], found[1], found[2] = r, c, 1 if upper else 2
+                at = -f0 / df if df != 0.0 else start
+                return min(max(at, start), end)
+        skip = 0
+        if leave >= 1.0:
+            return 2.0
+        here = leave
+        if out_u <= out_v:
+            c += 1 if du > 0 else -1
+        else:
+            r += -1 if dv > 0 else 1
+        if c < 0 or r < 0 or c > len(us) - 2 or r > len(vs) - 2:
+            return 3.0
+
+
+@njit(cache=True)
+def _to_source(x, y, z, dx, dy, dz, weight, gap, ior, out):  # type: ignore[no-untyped-def]
+    """Through the flat bottom and the gap: source point and weight, or weight 0 on total internal reflection."""
+    weight *= transmittance(-dz, 1.0 / ior)
+    ox, oy, oz = refract(dx, dy, dz, 0.0, 0.0, 1.0, 1.0 / ior)
+    if weight > 0.0 and oz < 0.0:
+        out[0] = x - dx * z / dz - ox * gap / oz
+        out[1] = y - dy * z / dz - oy * gap / oz
+        out[2] = weight
+
+
+@njit(cache=True)
+def _follow(us, vs, ws, points, cut_eye, plane, vertical, top, eye, qx, qy, qz, gap, ior, normal, found, out):  # type: ignore[no-untyped-def]
+    """The path from the eye through (qx, qy, qz) on the reference plane; out = source x, y and transmission."""
+    out[2] = 0.0
+    dx, dy, dz = qx - eye[0], qy - eye[1], qz - eye[2]
+    q = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
+    dx, dy, dz = dx * q, dy * q, dz * q
+    rise = (top + 1e-3 - eye[2]) / dz
+    x, y, z = eye[0] + dx * rise, eye[1] + dy * rise, top + 1e-3
+    inside, weight, skip = False, 1.0, 0
+    u0, v0, w0 = _to_grid(x, y, z, cut_eye, plane, vertical)
+    if u0 < us[0] or u0 > us[-1] or v0 > vs[0] or v0 < vs[-1]:
+        return
+    r, c = _cell(vs, v0, True), _cell(us, u0, False)
+    for _ in range(MAX_EVENTS):
+        if dz >= 0.0 and (not inside or dz == 0.0):
+            reach = (top + 2e-3 - z) / dz if dz > 0.0 else 0.0
+        else:
+            reach = (top + 2e-3 - z) / dz if dz > 0.0 else -z / dz
+        if reach <= 0.0:
+            return
+        u1, v1, w1 = _to_grid(x + dx * reach, y + dy * reach, z + dz * reach, cut_eye, plane, vertical)
+        at = _march(us, vs, ws, u0, v0, w0, u1, v1, w1, r, c, skip, inside, found)
+        if at >= 2.0:
+            if inside and at == 2.0 and dz < 0.0:
+                _to_source(x, y, z, dx, dy, dz, weight, gap, ior, out)
+            return
+        u0, v0, w0 = u0 + at * (u1 - u0), v0 + at * (v1 - v0), w0 + at * (w1 - w0)
+        x, y, z = _from_grid(u0, v0, w0, cut_eye, plane, vertical)
+        r, c, skip = found[0], found[1], found[2]
+        _facing(points, r, c, skip == 1, normal)
+        sign = -1.0 if inside else 1.0
+        nx, ny, nz = sign * normal[0], sign * normal[1], sign * normal[2]
+        eta = 1.0 / ior if inside else ior
+        cos_i = -(dx * nx + dy * ny + dz * nz)
+        share = transmittance(max(cos_i, 0.0), eta)
+        if share >= 0.5:
+            dx, dy, dz = refract(dx, dy, dz, nx, ny, nz, eta)
+            inside = not inside
+            weight *= share
+        else:
+            dx, dy, dz = dx + 2.0 * cos_i * nx, dy + 2.0 * cos_i * ny, dz + 2.0 * cos_i * nz
+            weight *= 1.0 - share
+
+
+@njit(cache=True, parallel=True)
+def _trace(us, vs, ws, points, cut_eye, plane, vertical, top, eye, size, depth, gap, ior, resolution, samples):  # type: ignore[no-untyped-def]
+    hits = np.zeros((resolution, resolution, samples * samples, 3), np.float32)
+    sub = size / (resolution * samples)
+    for i in prange(resolution):
+        normal, out, found = np.zeros(3), np.zeros(3), np.zeros(3, np.int64)
+        for j in range(resolution):
+            for k in range(samples * samples):
+                qx = (j * samples + k % samples + 0.5) * sub - 0.5 * size
+                qy = 0.5 * size - (i * samples + k // samples + 0.5) * sub
+                _follow(
+                    us, vs, ws, points, cut_eye, plane, vertical, top, eye, qx, qy, depth, gap, ior, normal, found, out
+                )
+                hits[i, j, k, 0], hits[i, j, k, 1], hits[i, j, k, 2] = out[0], out[1], out[2]
+    return hits
+
+
+@njit(cache=True, parallel=True)
+def _picture(hits, source, per_mm):  # type: ignore[no-untyped-def]
+    rows, columns, channels = source.shape
+    height, width, samples, _ = hits.shape
+    out = np.zeros((height, width, channels), np.float32)
+    for i in prange(height):
+        for j in range(width):
+            for k in range(samples):
+                weight = hits[i, j, k, 2] / samples
+                if weight == 0.0:
+                    continue
+                x = min(max(hits[i, j, k, 0] * per_mm + 0.5 * columns - 0.5, 0.0), columns - 1.001)
+                y = min(max(-hits[i, j, k, 1] * per_mm + 0.5 * rows - 0.5, 0.0), rows - 1.001)
+                ix, iy = int(x), int(y)
+                fx, fy = x - ix, y - iy
+                for ch in range(channels):
+                    top = source[iy, ix, ch] * (1 - fx) + source[iy, ix + 1, ch] * fx
+                    low = source[iy + 1, ix, ch] * (1 - fx) + source[iy + 1, ix + 1, ch] * fx
+                    out[i, j, ch] += weight * (top * (1 - fy) + low * fy)
+    return out

@@ -1,0 +1,1 @@
+"""From a finished run to figures and a page that shows it."""

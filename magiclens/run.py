@@ -1,0 +1,232 @@
+"""The only loop: calls the stages of a plan one after the other and records what they did."""
+
+from __future__ import annotations
+
+import shutil
+from collections import defaultdict
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from time import perf_counter
+from typing import Any, TypeVar
+
+import numpy as np
+
+from magiclens.artifacts import Assignment, Candidates, FloatArray, HeightField, Scene, Solid
+from magiclens.checks import (
+    BadArtifact,
+    check_assignment,
+    check_candidates,
+    check_file,
+    check_height_field,
+    check_pictures,
+    check_solid,
+)
+from magiclens.errors import MagicLensError, StageError
+from magiclens.folder import appearing
+from magiclens.manifest import (
+    Scores,
+    manifest,
+    render_path,
+    source_path,
+    spec_text,
+    target_path,
+    write_manifest,
+)
+from magiclens.observers import Observer
+from magiclens.plan import Plan, Step, load_plan
+from magiclens.report.data import RunData
+from magiclens.spec.fields import Inputs
+from magiclens.stages import KINDS, Exporter, Progress, Renderer
+
+T = TypeVar("T")
+Renders = dict[str, list[FloatArray]]
+
+
+@dataclass(frozen=True)
+class Run:
+    """A finished run: its folder, the manifest in it, and everything that was made on the way."""
+
+    folder: Path
+    manifest: dict[str, Any]
+    data: RunData
+
+
+def run_spec(
+    path: str | Path, out_dir: str | Path | None = None, overrides: Iterable[str] = (), observer: Observer | None = None
+) -> Run:
+    """Load, compile and run a spec; the run folder is ``out/<name>`` unless told otherwise."""
+    plan = load_plan(path, overrides)
+    return run_plan(plan, out_dir or Path("out", plan.spec.name), observer)
+
+
+def run_plan(plan: Plan, out_dir: str | Path, observer: Observer | None = None) -> Run:
+    """Run a plan and write its run folder, which appears only when everything in it is finished.
+
+    Equal plans give equal files, but for the timings in ``manifest.json``. Raises InputError when the spec asks for
+    what cannot be, StageError when a stage fails or breaks its contract.
+    """
+    out, observer = Path(out_dir), observer or Observer()
+    worker = _Worker(plan, observer)
+    try:
+        with appearing(out) as folder:
+            data = _make(plan, folder, worker)
+            whole = write_manifest(folder, data.manifest, worker.timings())
+        worker.tell("mlens_run_done", folder=out, manifest=whole)
+    finally:
+        observer.stopped()
+    return Run(out, whole, data)
+
+
+class _Worker:
+    """Does one piece of work after the other: times it, lets the observer know, and names the stage that fails."""
+
+    def __init__(self, plan: Plan, observer: Observer):
+        self._registry, self._observer = plan.registry, observer
+        self._facets = plan.lens.facets**2
+        self._began = perf_counter()
+        self._seconds: defaultdict[str, float] = defaultdict(float)
+
+    def part(self, name: str, work: Callable[[], T]) -> T:
+        """A piece of work of our own."""
+        self._observer.started(name, self._facets)
+        began = perf_counter()
+        result = work()
+        seconds = perf_counter() - began
+        self._seconds[name] += seconds
+        self._observer.finished(name, seconds)
+        return result
+
+    def stage(self, step: Step[Any], work: Callable[[Progress], T], check: Callable[[T], None]) -> T:
+        """A piece of work of a stage, whose artifact is checked against the contract."""
+        before = self._seconds[step.name]
+        artifact = self.part(step.name, partial(self._guarded, step, work, check))
+        seconds = self._seconds[step.name] - before
+        self.tell("mlens_stage_done", stage=step.stage, artifact=artifact, seconds=seconds)
+        return artifact
+
+    def tell(self, hook: str, **facts: Any) -> None:
+        """Call an observing hook; plugins that fail in it are noted."""
+        for complaint in self._registry.tell(hook, **facts):
+            self._observer.notice(complaint)
+
+    def timings(self) -> dict[str, float]:
+        """Seconds by name, and in total."""
+        return {**self._seconds, "total": perf_counter() - self._began}
+
+    def _guarded(self, step: Step[Any], work: Callable[[Progress], T], check: Callable[[T], None]) -> T:
+        try:
+            artifact = work(partial(self._observer.progressed, step.name))
+            check(artifact)
+        except MagicLensError:
+            raise
+        except BadArtifact as error:
+            raise StageError(f"{step} broke its contract: {error}") from error
+        except Exception as error:
+            raise StageError(f"{step} failed: {type(error).__name__}: {error}") from error
+        return artifact
+
+
+def _make(plan: Plan, folder: Path, worker: _Worker) -> RunData:
+    """Fill a run folder with everything but the manifest."""
+    inputs = Inputs()
+    (folder / "spec.yaml").write_text(spec_text(plan, inputs), encoding="utf-8")
+    _copy(inputs, folder)
+    scene = worker.part("pictures", plan.scene)
+    _write_pictures(scene, folder)
+    candidates, assignment, height_field, rough = _design(plan, scene, worker)
+    solid = worker.stage(plan.finisher, lambda p: plan.finisher.stage.finish(scene, rough, p), check_solid)
+    for exporter in plan.exporters:
+        _export(exporter, scene, solid, folder, worker)
+    renders = {step.stage.type: _render(step, scene, solid, folder, worker) for step in plan.renderers}
+    made = (candidates, assignment, height_field, rough, solid)
+    metrics = {name: value for artifact in made for name, value in artifact.metrics.items()}
+    facts = manifest(plan, inputs, scene, metrics, _scores(scene, renders))
+    first = Assignment.pick(candidates, np.zeros_like(assignment.choice))
+    return RunData(scene, candidates, first, assignment, height_field, solid, renders, facts)
+
+
+def _design(plan: Plan, scene: Scene, worker: _Worker) -> tuple[Candidates, Assignment, HeightField, Solid]:
+    """From a scene to a closed mesh that no finisher has seen yet."""
+    from magiclens.matching.rematch import rematch
+    from magiclens.meshing.solid import solid_from_heights
+
+    rng = _generators(plan.spec.seed)
+    matcher = plan.matcher.stage
+    check = partial(check_candidates, plan.lens)
+    candidates = worker.stage(plan.matcher, lambda p: matcher.match(scene, rng["matcher"], p), check)
+    assignment, height_field = _shape(plan, scene, candidates, rng["annealer"], worker)
+    for _ in range(plan.spec.pipeline.rematch):
+        again = partial(rematch, scene, candidates, assignment, height_field)
+        candidates = worker.part("rematching", again)
+        assignment, height_field = _shape(plan, scene, candidates, rng["annealer"], worker)
+    return candidates, assignment, height_field, worker.part("meshing", partial(solid_from_heights, height_field))
+
+
+def _shape(
+    plan: Plan, scene: Scene, candidates: Candidates, rng: np.random.Generator, worker: _Worker
+) -> tuple[Assignment, HeightField]:
+    """Choose among candidates and build what was chosen."""
+    annealer, integrator = plan.annealer.stage, plan.integrator.stage
+    chosen = partial(check_assignment, plan.lens, candidates)
+    assignment = worker.stage(plan.annealer, lambda p: annealer.anneal(scene, candidates, rng, p), chosen)
+    built = partial(check_height_field, plan.lens)
+    return assignment, worker.stage(plan.integrator, lambda p: integrator.integrate(scene, assignment, p), built)
+
+
+def _generators(seed: int) -> dict[str, np.random.Generator]:
+    """One source of randomness per kind of stage, so that a change of one leaves the others' alone."""
+    children = np.random.SeedSequence(seed).spawn(len(KINDS))
+    return {kind: np.random.default_rng(child) for kind, child in zip(KINDS, children, strict=True)}
+
+
+def _copy(inputs: Inputs, folder: Path) -> None:
+    """Keep the files that the spec uses, so that the run folder's ``spec.yaml`` runs anywhere."""
+    for path, kept in inputs.items():
+        (folder / kept).parent.mkdir(exist_ok=True)
+        shutil.copyfile(path, folder / kept)
+
+
+def _write_pictures(scene: Scene, folder: Path) -> None:
+    """The sources, true to scale for printing, and the targets."""
+    from magiclens.images.files import write_png
+
+    sources = {source_path(view): view.source for view in scene.views}
+    targets = {target_path(view): view.target for view in scene.views}
+    for path, picture in {**sources, **targets}.items():
+        (folder / path).parent.mkdir(exist_ok=True)
+        scale = len(picture) / scene.lens.source_size_mm if path in sources else None
+        write_png(folder / path, picture, scale)
+
+
+def _export(step: Step[Exporter], scene: Scene, solid: Solid, folder: Path, worker: _Worker) -> None:
+    path = folder / f"lens{step.stage.suffix}"
+
+    def export(_: Progress) -> Path:
+        step.stage.export(scene, solid, path)
+        return path
+
+    worker.stage(step, export, check_file)
+
+
+def _render(step: Step[Renderer], scene: Scene, solid: Solid, folder: Path, worker: _Worker) -> list[FloatArray]:
+    """One picture per view, written to the run folder too."""
+    from magiclens.images.files import write_png
+
+    check = partial(check_pictures, scene)
+    pictures: list[FloatArray] = worker.stage(step, lambda p: step.stage.render(scene, solid, p), check)
+    for view, picture in zip(scene.views, pictures, strict=True):
+        path = folder / render_path(step.stage.type, view)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_png(path, picture)
+    return pictures
+
+
+def _scores(scene: Scene, renders: Renders) -> Scores:
+    from magiclens.images.score import score
+
+    return {
+        renderer: [score(picture, view.target) for picture, view in zip(pictures, scene.views, strict=True)]
+        for renderer, pictures in renders.items()
+    }

@@ -1,0 +1,83 @@
+"""What every scenario shares: from shots, worded by a scenario, to views with their pictures."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from magiclens.artifacts import FloatArray, Lens, View
+from magiclens.scenarios.pictures import Art, Source, Target
+from magiclens.spec.model import SpecModel, Viewer
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One view before it has pictures: which source and target, seen from where, at which lens rotation.
+
+    eye_mm: (3,), world frame. Shots of one scenario that have equal ``source_name`` share their source.
+    """
+
+    name: str
+    source: Source
+    target: Target
+    eye_mm: FloatArray
+    rotation_deg: float = 0.0
+    source_name: str = "source"
+    target_name: str = "target"
+
+    def __str__(self) -> str:
+        x, y, z = self.eye_mm
+        seen = f"eye ({x:g}, {y:g}, {z:g}) mm, rotation {self.rotation_deg:g} deg"
+        return f"{self.name}: {seen}, source {self.source}, target {self.target}"
+
+
+class Scenario(SpecModel, ABC):
+    """Base of all scenarios: the fields are the YAML keys, ``type`` is the name a spec picks it by."""
+
+    type: ClassVar[str]
+
+    @abstractmethod
+    def shots(self, lens: Lens, viewer: Viewer) -> tuple[Shot, ...]:
+        """Everything the lens must show, in the world frame."""
+
+    def fit(self, lens: Lens, viewer: Viewer) -> Lens:
+        """The lens with the source size that the shots agree on. Raises ValueError if they do not."""
+        sizes = {lens.size_mm if s.source.size is None else s.source.size for s in self.shots(lens, viewer)}
+        if len(sizes) > 1:
+            raise ValueError(f"all sources need the same size, found {', '.join(f'{s:g}mm' for s in sorted(sizes))}")
+        return replace(lens, source_size_mm=sizes.pop())
+
+    def views(self, lens: Lens, viewer: Viewer, art: Art) -> tuple[View, ...]:
+        """The shots with their pictures; all have one channel if every picture is grey, else three."""
+        return take(self.shots(lens, viewer), lens, art)
+
+
+def take(shots: Sequence[Shot], lens: Lens, art: Art) -> tuple[View, ...]:
+    """Give shots their pictures; a source that several share is made once."""
+    sources = {s.source_name: s.source for s in shots}
+    below = {name: source.raster(lens.source_size_mm, art) for name, source in sources.items()}
+    above = [shot.target.raster(art) for shot in shots]
+    channels = max(picture.shape[-1] for picture in (*below.values(), *above))
+    below = {name: _with_channels(picture, channels) for name, picture in below.items()}
+    return tuple(
+        View(
+            s.name,
+            below[s.source_name],
+            _with_channels(target, channels),
+            s.eye_mm,
+            s.rotation_deg,
+            s.source_name,
+            s.target_name,
+        )
+        for s, target in zip(shots, above, strict=True)
+    )
+
+
+def _with_channels(picture: FloatArray, channels: int) -> FloatArray:
+    """(H, W, C) float32 with that many channels; grey is repeated."""
+    rows, columns, _ = picture.shape
+    return np.array(np.broadcast_to(picture, (rows, columns, channels)), np.float32)

@@ -1,0 +1,158 @@
+"""What a spec may say. Scenario and stages stay plain mappings: which there are is known to the registry only."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, field_validator, model_validator
+
+from magiclens.artifacts import FloatArray, Lens
+from magiclens.spec.suggest import shown, unknown
+from magiclens.units import LENGTH, Angle, Length
+
+MATERIALS = {"acrylic": 1.49, "glass": 1.52, "polycarbonate": 1.585, "pdms": 1.41, "photopolymer": 1.47}
+"""Index of refraction of each material, at 589 nm."""
+
+DEFAULT_STAGES = {"matcher": "exhaustive", "annealer": "metropolis", "integrator": "poisson", "finisher": "pymeshlab"}
+"""The stage of each kind that runs when the spec does not choose."""
+
+
+class SpecModel(BaseModel):
+    """Base of the models that a spec is made of: unknown keys are errors, values do not change."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
+
+
+class LensSpec(SpecModel):
+    """The slab: its size, its facets, its material and its limits."""
+
+    size: Length = Field("100mm", validate_default=True, gt=0, description="side of the square lens")
+    facets: int = Field(32, strict=True, ge=1, le=1024, description="facets along one side")
+    microfacets: int = Field(22, strict=True, ge=1, le=256, description="micro-facets along one side of a facet")
+    thickness: Length = Field("40mm", validate_default=True, gt=0, description="height of the reference plane")
+    gap: Length = Field("0mm", validate_default=True, ge=0, description="air between the source and the flat bottom")
+    material: str | None = Field(
+        None,
+        description="what the lens is made of; acrylic unless ior is given",
+        json_schema_extra={"anyOf": [{"enum": [*MATERIALS]}, {"type": "null"}]},
+    )
+    ior: float | None = Field(None, gt=1, le=4, description="index of refraction, instead of a material")
+    wall: Length = Field("2um", validate_default=True, gt=0, description="width of the strip between two facets")
+    relief: Length = Field(
+        "5mm", validate_default=True, gt=0, description="how far the top may leave the reference plane"
+    )
+    max_slope: Angle = Field("60deg", validate_default=True, gt=0, lt=90, description="steepest facet")
+    cells: Literal["eye", "vertical"] = Field("eye", description="facets are cut along eye rays or vertically")
+
+    @field_validator("material")
+    @classmethod
+    def _known_material(cls, value: str | None) -> str | None:
+        if value is not None and value not in MATERIALS:
+            raise ValueError(unknown("material", value, MATERIALS))
+        return value
+
+    @field_validator("ior")
+    @classmethod
+    def _material_or_ior(cls, value: float | None, info: ValidationInfo) -> float | None:
+        if value is not None and info.data.get("material"):
+            raise ValueError("give a material or an ior, not both")
+        return value
+
+    @field_validator("wall")
+    @classmethod
+    def _wall_fits(cls, value: float, info: ValidationInfo) -> float:
+        pitch = info.data.get("size", math.inf) / info.data.get("facets", 1)
+        if value > pitch / 2:
+            raise ValueError(f"the wall is wider than half a facet; at most {LENGTH.text(pitch / 2)}")
+        return value
+
+    @field_validator("relief")
+    @classmethod
+    def _relief_fits(cls, value: float, info: ValidationInfo) -> float:
+        thickness = info.data.get("thickness", math.inf)
+        if value >= thickness:
+            raise ValueError(f"the relief would cut through the slab; less than {LENGTH.text(thickness)}")
+        return value
+
+    @model_validator(mode="before")
+    @classmethod
+    def _default_material(cls, data: Any) -> Any:
+        if isinstance(data, dict) and data.get("material") is None and data.get("ior") is None:
+            return {**data, "material": "acrylic"}
+        return data
+
+    def build(self) -> Lens:
+        """The lens, with a source as large as itself."""
+        ior = MATERIALS[self.material] if self.material else self.ior
+        return Lens(
+            size_mm=self.size,
+            source_size_mm=self.size,
+            facets=self.facets,
+            microfacets=self.microfacets,
+            thickness_mm=self.thickness,
+            gap_mm=self.gap,
+            ior=float(ior or 0),
+            wall_mm=self.wall,
+            relief_mm=self.relief,
+            max_slope_deg=self.max_slope,
+            cells=self.cells,
+        )
+
+
+class Viewer(SpecModel):
+    """Where the eye is; a pinhole."""
+
+    distance: Length = Field("400mm", validate_default=True, gt=0, description="from the reference plane to the eye")
+    x: Length = Field("0mm", validate_default=True, description="to the right of the lens's centre")
+    y: Length = Field("0mm", validate_default=True, description="above the lens's centre, as the viewer sees it")
+
+    def eye_mm(self, lens: Lens) -> FloatArray:
+        """(3,) float64, world frame."""
+        return np.array([self.x, self.y, lens.thickness_mm + self.distance])
+
+
+def _choice(value: object) -> object:
+    if not isinstance(value, dict):
+        example = value if isinstance(value, str) else "name"
+        raise ValueError(f"expected a mapping such as {{type: {example}}}, got {shown(value)}")
+    return value
+
+
+Choice = Annotated[dict[str, Any], BeforeValidator(_choice)]
+"""A mapping with a ``type`` and the options of that type, not resolved yet."""
+
+
+def _default_type(kind: str) -> BeforeValidator:
+    """Fills in the stage that runs by default where a mapping has options but no ``type``."""
+
+    def fill(value: object) -> object:
+        return {"type": DEFAULT_STAGES[kind], **value} if isinstance(value, dict) else value
+
+    return BeforeValidator(fill)
+
+
+class PipelineSpec(SpecModel):
+    """Which stage of each kind runs, with which options."""
+
+    matcher: Annotated[Choice, _default_type("matcher")] = Field({}, description="finds candidates for every facet")
+    annealer: Annotated[Choice, _default_type("annealer")] = Field({}, description="chooses one candidate per facet")
+    integrator: Annotated[Choice, _default_type("integrator")] = Field({}, description="turns choices into heights")
+    finisher: Annotated[Choice, _default_type("finisher")] = Field({}, description="repairs and checks the mesh")
+    exporters: list[Choice] = Field([{"type": "stl"}], description="files to write")
+    renderers: list[Choice] = Field([{"type": "tracer"}], description="simulated photographs to take")
+    rematch: int = Field(
+        0, strict=True, ge=0, le=100, description="rounds of re-scoring candidates with the lens as it has become"
+    )
+
+
+class Spec(SpecModel):
+    """A whole spec. Every key but ``scenario`` has a default."""
+
+    name: str = Field("lens", pattern=r"^[A-Za-z0-9][A-Za-z0-9._ -]*$", description="names the run folder")
+    seed: int = Field(0, strict=True, ge=0, description="equal seeds give equal lenses")
+    scenario: Choice = Field(description="what the lens shows, from where")
+    lens: LensSpec = Field(default_factory=LensSpec, description="the slab")
+    viewer: Viewer = Field(default_factory=Viewer, description="the eye")
+    pipeline: PipelineSpec = Field(default_factory=PipelineSpec, description="the stages")

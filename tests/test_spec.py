@@ -1,0 +1,346 @@
+"""What a spec may say, and what its author hears when it says something else."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from jsonschema import Draft7Validator
+from typer.testing import CliRunner
+
+from magiclens.cli import app
+from magiclens.errors import InputError
+from magiclens.plan import load_plan
+from magiclens.registry import ART, SCENARIO, STAGE, Registry
+from magiclens.spec.document import read_document
+from magiclens.spec.load import load_spec
+from magiclens.spec.model import MATERIALS
+from magiclens.spec.schema import json_schema
+from magiclens.stages import KINDS
+from toys import SPEC, SpecWriter
+
+SPECS = sorted((Path(__file__).parent.parent / "specs").glob("*.yaml"))
+
+GAP = ("  facets: 4", "  facets: 4\n  gap: 100")
+WRONG: dict[str, tuple[tuple[str, str], str]] = {
+    "bare number": (GAP, "9: lens.gap: 100 is a bare number; a length needs a unit, such as '100mm'"),
+    "unknown unit": (("size: 20mm", "size: 20mn"), "7: lens.size: unknown unit 'mn' in '20mn'; a length is in mm, cm"),
+    "wrong unit": (("90deg]", "90mm]"), "5: scenario.angles.1: unknown unit 'mm' in '90mm'; an angle is in deg, rad"),
+    "unknown key": (("viewer:", "viewr:"), "10: viewr: unknown key; did you mean 'viewer'?"),
+    "unknown key far from all": (("viewer:", "zzz:"), "10: zzz: unknown key; choose one of: lens, name, pipeline"),
+    "unknown lens key": (("facets", "facetts"), "8: lens.facetts: unknown key; did you mean 'facets'?"),
+    "unknown stage option": (
+        ("    sweeps", "    swepes"),
+        "14: pipeline.matcher.swepes: unknown option; did you mean 'sweeps'?",
+    ),
+    "stage option out of range": (("sweeps: 5", "sweeps: 101"), "14: pipeline.matcher.sweeps: must be at most 100"),
+    "stage option of wrong type": (
+        ("sweeps: 5", "sweeps: many"),
+        "14: pipeline.matcher.sweeps: expected a whole number, got 'many'",
+    ),
+    "stage option without unit": (
+        ("sweeps: 5", "step: 1"),
+        "14: pipeline.matcher.step: 1 is a bare number; a length needs a unit, such as '1mm'",
+    ),
+    "negative stage option": (("sweeps: 5", "step: -1mm"), "14: pipeline.matcher.step: must be more than 0mm"),
+    "unknown stage": (
+        ("annealer: {type: toy}", "annealer: {type: toi}"),
+        "15: pipeline.annealer.type: unknown annealer 'toi'; did you mean 'toy'?",
+    ),
+    "unknown exporter": (
+        ("exporters: [{type: toy}]", "exporters: [{type: 7}]"),
+        "18: pipeline.exporters.0.type: unknown exporter 7; choose one of: toy",
+    ),
+    "exporter without type": (
+        ("exporters: [{type: toy}]", "exporters: [{}]"),
+        "18: pipeline.exporters.0.type: this key is required; choose one of: toy",
+    ),
+    "stage that is no mapping": (
+        ("annealer: {type: toy}", "annealer: toy"),
+        "15: pipeline.annealer: expected a mapping such as {type: toy}, got 'toy'",
+    ),
+    "exporters that are no list": (
+        ("exporters: [{type: toy}]", "exporters: {type: toy}"),
+        "18: pipeline.exporters: expected a list such as [a, b], got a mapping",
+    ),
+    "two exporters of one file": (
+        ("exporters: [{type: toy}]", "exporters:\n    - {type: toy}\n    - {type: toy}"),
+        "20: pipeline.exporters.1: an earlier one writes lens.toy already",
+    ),
+    "unknown scenario": (
+        ("type: rotating", "type: rotation"),
+        "2: scenario.type: unknown scenario 'rotation'; did you mean 'rotating'?",
+    ),
+    "no scenario type": (("  type: rotating\n", ""), "1: scenario.type: this key is required; choose one of: rotating"),
+    "no targets": (
+        ("  targets: [{art: panda}, {art: bat}]\n", ""),
+        "1: scenario.targets: this key is required",
+    ),
+    "unknown art": (
+        ("{art: bat}", "{art: batt}"),
+        "4: scenario.targets.1.art: unknown art 'batt'; did you mean 'bat'?",
+    ),
+    "missing file": (
+        ("{art: bat}", "{image: gray.png}"),
+        "4: scenario.targets.1.image: there is no file '{folder}/gray.png'; did you mean '{folder}/grey.png'?",
+    ),
+    "no picture": (
+        ("{art: bat}", "{image: toy.yaml}"),
+        "4: scenario.targets.1.image: '{folder}/toy.yaml' is not an image file that can be read",
+    ),
+    "folder for a picture": (("{art: bat}", "{image: .}"), "4: scenario.targets.1.image: '{folder}' is a folder"),
+    "number for a path": (("{art: bat}", "{image: 3}"), "4: scenario.targets.1.image: expected the path of a file"),
+    "neither image nor art": (("{art: bat}", "{}"), "4: scenario.targets.1: name a picture: {image: file.png} or"),
+    "both image and art": (("{art: bat}", "{image: grey.png, art: bat}"), "4: scenario.targets.1.art: give an image"),
+    "target that is no mapping": (
+        ("{art: bat}", "bat"),
+        "4: scenario.targets.1: expected a mapping such as {key: value}, got 'bat'",
+    ),
+    "unknown source": (
+        ("type: circles", "type: cirles"),
+        "3: scenario.source: unknown type 'cirles'; did you mean 'circles'?",
+    ),
+    "source without type": (("type: circles, ", ""), "3: scenario.source: the key 'type' is required; choose one of:"),
+    "unknown source option": (("seed: 7", "sed: 7"), "3: scenario.source.sed: unknown key; did you mean 'seed'?"),
+    "radius without unit": (
+        ("seed: 7", "radius: [0.5, 2mm]"),
+        "3: scenario.source.radius.0: 0.5 is a bare number; a length needs a unit, such as '0.5mm'",
+    ),
+    "radii in the wrong order": (("seed: 7", "radius: [2mm, 1mm]"), "3: scenario.source.radius: write the smallest"),
+    "one radius": (("seed: 7", "radius: [2mm]"), "3: scenario.source.radius: needs at least 2, has 1"),
+    "more angles than targets": (
+        ("90deg]", "90deg, 180deg]"),
+        "5: scenario.angles: 3 angles for 2 targets; write one angle per target",
+    ),
+    "no quarter turn": (
+        ("90deg]", "80deg]"),
+        "5: scenario.angles.1: '80deg' is no quarter turn; the nearest is '90deg'",
+    ),
+    "an angle twice": (("90deg]", "360deg]"), "5: scenario.angles: two targets have the same angle"),
+    "five targets": (
+        ("{art: bat}]", "{art: bat}, {art: owl}, {art: cat}, {art: fish}]"),
+        "4: scenario.targets: takes at most 4, has 5",
+    ),
+    "unknown material": (
+        ("size: 20mm", "material: acrilic"),
+        "7: lens.material: unknown material 'acrilic'; did you mean 'acrylic'?",
+    ),
+    "material and ior": (
+        ("size: 20mm", "material: glass\n  ior: 1.5"),
+        "8: lens.ior: give a material or an ior, not both",
+    ),
+    "ior of nothing": (("size: 20mm", "ior: 1.0"), "7: lens.ior: must be more than 1"),
+    "no facets": (("facets: 4", "facets: 0"), "8: lens.facets: must be at least 1, got 0"),
+    "half a facet": (("facets: 4", "facets: 4.5"), "8: lens.facets: expected a whole number, got 4.5"),
+    "true for a number": (("facets: 4", "facets: true"), "8: lens.facets: expected a whole number, got True"),
+    "no thickness": (("size: 20mm", "thickness: 0mm"), "7: lens.thickness: must be more than 0mm, got '0mm'"),
+    "a slope over the edge": (("size: 20mm", "max_slope: 90deg"), "7: lens.max_slope: must be less than 90deg"),
+    "a wall wider than a facet": (
+        ("size: 20mm", "size: 20mm\n  wall: 3mm"),
+        "8: lens.wall: the wall is wider than half",
+    ),
+    "a relief through the slab": (("size: 20mm", "relief: 50mm"), "7: lens.relief: the relief would cut through"),
+    "unknown cells": (("size: 20mm", "cells: eyes"), "7: lens.cells: 'eyes' is not allowed; did you mean 'eye'?"),
+    "nothing where a mapping belongs": (
+        ("viewer: {distance: 400mm}", "viewer:"),
+        "10: viewer: expected a mapping such as {key: value}, got nothing",
+    ),
+    "a name that is no folder": (("scenario:", "name: a/b\nscenario:"), "1: name: 'a/b' is not allowed here"),
+    "a negative seed": (("scenario:", "seed: -1\nscenario:"), "1: seed: must be at least 0, got -1"),
+    "a duplicate key": (("  facets: 4", "  facets: 4\n  facets: 8"), "9: the key 'facets' appears twice"),
+    "a tab": (("  facets: 4", "\tfacets: 4"), "8: a tab indents this line; YAML is indented with spaces"),
+    "no YAML": (("[{art: panda}, {art: bat}]", "[{art: panda}"), "5: this is not YAML"),
+    "two documents": (("viewer:", "---\nviewer:"), "10: this is not YAML: but found another document"),
+    "an alias in itself": (("viewer: {distance: 400mm}", "viewer: &a {x: *a}"), "10: viewer.x: expected a length such as '10mm', got nothing"),
+}
+
+
+@pytest.fixture
+def cli(registry: Registry, monkeypatch: pytest.MonkeyPatch) -> CliRunner:
+    monkeypatch.setattr(Registry, "load", lambda: registry)
+    return CliRunner()
+
+
+@pytest.mark.parametrize("mistake", WRONG)
+def test_a_mistake_is_named_with_file_line_and_choice(
+    mistake: str, cli: CliRunner, write_spec: SpecWriter, grey_png: Path
+) -> None:
+    replacement, expected = WRONG[mistake]
+    path = write_spec(replacement)
+    result = cli.invoke(app, ["check", str(path)])
+    where, _, rest = expected.partition(": ") if expected[0].isdigit() else ("", "", expected)
+    expected = (f"{path}:{where}: " if where else "") + rest.replace("{folder}", str(path.parent))
+    assert result.exit_code == 2
+    assert expected in result.stderr
+    assert result.stderr.startswith("error: ")
+    assert result.stderr.count("\n") == 1
+    assert "Traceback" not in result.output
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        (b"", ":1: the file is empty; a spec starts with a line such as 'scenario:'"),
+        (b"# only a comment\n", ":1: the file is empty"),
+        (b"- a\n- b\n", ":1: the file holds a list instead of a mapping"),
+        (b"just text", ":1: the file holds text instead of a mapping"),
+        (b"\x89PNG\r\n\x1a\n\x00\xff", ":1: this is not a text file"),
+        (b"a: \x00", ":1: this is not YAML"),
+        (b"[" * 9999, ":1: this is nested too deeply"),
+        (b"name: x\n", ":1: scenario: this key is required"),
+    ],
+)
+def test_a_file_that_is_no_spec_is_named(content: bytes, expected: str, tmp_path: Path, registry: Registry) -> None:
+    path = tmp_path / "bad.yaml"
+    path.write_bytes(content)
+    with pytest.raises(InputError) as caught:
+        load_plan(path, registry=registry)
+    assert f"{path}{expected}" in str(caught.value)
+
+
+def test_a_spec_that_is_not_there_brings_a_similar_name(write_spec: SpecWriter) -> None:
+    path = write_spec()
+    with pytest.raises(InputError, match=r"there is no file .*toi.yaml'; did you mean '.*toy.yaml'"):
+        load_spec(path.with_name("toi.yaml"))
+
+
+def test_a_folder_is_no_spec(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="this is a folder"):
+        load_spec(tmp_path)
+
+
+def test_of_several_mistakes_the_first_in_the_file_is_named(write_spec: SpecWriter, registry: Registry) -> None:
+    mistakes = [("{art: bat}", "{art: batt}"), ("facets: 4", "facets: 0"), ("sweeps", "swepes"), ("toy}", "toi}")]
+    for mistake, line in zip(mistakes, [4, 8, 14, 15], strict=True):
+        with pytest.raises(InputError, match=f"toy.yaml:{line}: "):
+            load_plan(write_spec(*mistakes[mistakes.index(mistake) :]), registry=registry)
+
+
+def test_a_misspelt_key_is_named_before_the_key_that_is_missing_for_it(write_spec: SpecWriter) -> None:
+    with pytest.raises(InputError, match=r"toy.yaml:1: scenari: unknown key; did you mean 'scenario'"):
+        load_spec(write_spec(("scenario:", "scenari:")))
+
+
+def test_everything_but_the_scenario_has_a_default(tmp_path: Path) -> None:
+    path = tmp_path / "my lens.v2.yaml"
+    path.write_text("scenario: {type: single}\n")
+    spec = load_spec(path)
+    assert (spec.name, spec.seed, spec.viewer.distance) == ("my lens.v2", 0, 400.0)
+    assert spec.lens.build().ior == MATERIALS["acrylic"]
+    assert spec.pipeline.integrator == {"type": "poisson"}
+
+
+def test_options_without_a_type_go_to_the_default_stage(tmp_path: Path) -> None:
+    path = tmp_path / "a.yaml"
+    path.write_text("scenario: {type: single}\npipeline: {matcher: {window: 5%}}\n")
+    assert load_spec(path).pipeline.matcher == {"type": "exhaustive", "window": "5%"}
+
+
+def test_ior_takes_the_place_of_a_material(write_spec: SpecWriter) -> None:
+    lens = load_spec(write_spec(("size: 20mm", "ior: 1.7"))).lens
+    assert (lens.build().ior, lens.material) == (1.7, None)
+
+
+@pytest.mark.parametrize(
+    ("override", "keys", "value"),
+    [
+        ("lens.facets=64", ("lens", "facets"), 64),
+        ("lens.gap=10cm", ("lens", "gap"), "10cm"),
+        ("name=other", ("name",), "other"),
+        ("scenario.targets.1.art=whale", ("scenario", "targets", 1, "art"), "whale"),
+        ("pipeline.matcher={type: toy, sweeps: 9}", ("pipeline", "matcher", "sweeps"), 9),
+        ("pipeline.exporters=[]", ("pipeline", "exporters"), []),
+        ("new.deep.key=true", ("new", "deep", "key"), True),
+    ],
+)
+def test_overrides_change_values(
+    override: str, keys: tuple[str | int, ...], value: Any, write_spec: SpecWriter
+) -> None:
+    assert read_document(write_spec(), [override]).get(keys) == value
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("lens.facets=0", "--set lens.facets=0: lens.facets: must be at least 1, got 0"),
+        ("lens.facetts=8", "--set lens.facetts=8: lens.facetts: unknown key; did you mean 'facets'?"),
+        ("lens={facets: 0}", "--set lens={facets: 0}: lens.facets: must be at least 1"),
+        ("scenario.targets.1.art=wale", "--set scenario.targets.1.art=wale: scenario.targets.1.art: unknown art"),
+        ("scenario.targets.7.art=bat", "--set scenario.targets.7.art=bat: 'scenario.targets' is a list of 2; choose"),
+        ("lens.facets.x=1", "--set lens.facets.x=1: 'lens.facets' is a number, it has no 'x'"),
+        ("lens.facets", "--set lens.facets: write key.path=value, such as lens.facets=64"),
+        ("=3", "--set =3: write key.path=value"),
+        ("lens.gap=[1", "--set lens.gap=[1:1: this is not YAML"),
+        ("pipeline.matcher.swepes=3", "pipeline.matcher.swepes: unknown option; did you mean 'sweeps'?"),
+    ],
+)
+def test_a_wrong_override_is_named(override: str, message: str, write_spec: SpecWriter, registry: Registry) -> None:
+    with pytest.raises(InputError, match=re.escape(message)):
+        load_plan(write_spec(), [override], registry)
+
+
+def test_mistakes_in_the_file_come_before_mistakes_in_overrides(write_spec: SpecWriter, registry: Registry) -> None:
+    with pytest.raises(InputError, match=r"toy\.yaml:14"):
+        load_plan(write_spec(("sweeps: 5", "sweeps: 0")), ["name=a/b"], registry)
+
+
+def test_an_override_is_validated_together_with_the_file(write_spec: SpecWriter, registry: Registry) -> None:
+    plan = load_plan(write_spec(("size: 20mm", "ior: 1.5")), ["lens.ior=null", "lens.material=glass"], registry)
+    assert plan.lens.ior == MATERIALS["glass"]
+
+
+def test_anchors_and_merges_are_plain_yaml(write_spec: SpecWriter) -> None:
+    anchored = (("lens:\n", "lens:\n  <<: &base {gap: 5mm}\n"), ("viewer: {", "viewer: {"))
+    assert load_spec(write_spec(*anchored)).lens.gap == 5.0
+
+
+@pytest.fixture(scope="module")
+def schema() -> dict[str, Any]:
+    registry = Registry.load()
+    stages = {kind: registry.classes(STAGE, kind) for kind in KINDS}
+    return json_schema(registry.classes(SCENARIO), stages, registry.types(ART))
+
+
+def test_the_schema_is_draft_7_and_all_its_references_lead_somewhere(schema: dict[str, Any]) -> None:
+    Draft7Validator.check_schema(schema)
+    text = str(schema)
+    assert "$defs" not in text
+    assert "prefixItems" not in text
+    for reference in re.findall(r"'\$ref': '#/([^']*)'", text):
+        node: Any = schema
+        for key in reference.split("/"):
+            node = node[key]
+
+
+@pytest.mark.parametrize("path", SPECS, ids=lambda p: p.name)
+def test_the_schema_accepts_the_specs_in_the_repository(path: Path, schema: dict[str, Any]) -> None:
+    Draft7Validator(schema).validate(read_document(path).data)
+
+
+@pytest.mark.parametrize("path", SPECS, ids=lambda p: p.name)
+def test_the_specs_in_the_repository_compile_and_read_back_resolved(path: Path) -> None:
+    assert load_plan(path).spec.name == path.stem
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"lens": {"gap": 100}},
+        {"lens": {"facetts": 3}},
+        {"scenario": {"type": "rotatin"}},
+        {"scenario": {"type": "single", "source": {"type": "circles"}, "target": {"art": "nobody"}}},
+        {"pipeline": {"matcher": {"type": "exhaustive", "windw": "10%"}}},
+        {"pipeline": {"exporters": [{"type": "nothing"}]}},
+    ],
+)
+def test_the_schema_refuses_what_the_program_refuses(wrong: dict[str, Any], schema: dict[str, Any]) -> None:
+    good = {"scenario": {"type": "single", "source": {"type": "circles"}, "target": {"art": "panda"}}}
+    assert Draft7Validator(schema).is_valid(good)
+    assert not Draft7Validator(schema).is_valid({**good, **wrong})
+
+
+def test_the_spec_of_these_tests_is_right(write_spec: SpecWriter, registry: Registry) -> None:
+    assert SPEC.startswith("scenario")
+    assert load_plan(write_spec(), registry=registry).lens.facets == 4

@@ -1,0 +1,153 @@
+"""A plugin of tiny stages that do no optics, so that specs, plans and runs can be tested in no time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from magiclens import builtin
+from magiclens.artifacts import Assignment, Candidates, FloatArray, HeightField, Scene, Solid
+from magiclens.hookspecs import hookimpl
+from magiclens.registry import Plugin, Registry
+from magiclens.stages import Annealer, Exporter, Finisher, Integrator, Matcher, Progress, Renderer, silent
+from magiclens.units import Length, LengthOrPercent, relative
+
+CANDIDATES = 3
+
+
+class ToyMatcher(Matcher):
+    """Draws candidates at random."""
+
+    type: ClassVar[str] = "toy"
+    sweeps: int = Field(25, ge=1, le=100)
+    window: LengthOrPercent = Field(relative("10%"))
+    step: Length = Field("0.5mm", validate_default=True, gt=0)
+
+    def match(self, scene: Scene, rng: np.random.Generator, progress: Progress = silent) -> Candidates:
+        shape = (scene.lens.facets, scene.lens.facets, CANDIDATES)
+        progress(0.5)
+        offsets = rng.normal(size=(*shape, 2)).astype(np.float32)
+        errors = np.sort(rng.random(shape), axis=-1).astype(np.float32)
+        return Candidates(offsets, np.ones((*shape, 3), np.float32), errors, {"matching_psnr_db": 20.0})
+
+
+class ToyAnnealer(Annealer):
+    """Chooses at random."""
+
+    type: ClassVar[str] = "toy"
+
+    def anneal(
+        self, scene: Scene, candidates: Candidates, rng: np.random.Generator, progress: Progress = silent
+    ) -> Assignment:
+        choice = rng.integers(CANDIDATES, size=candidates.errors.shape[:2])
+        return Assignment.pick(candidates, choice, {"energy_before": 2.0, "energy_after": 1.0})
+
+
+class ToyIntegrator(Integrator):
+    """Heights from offsets."""
+
+    type: ClassVar[str] = "toy"
+
+    def integrate(self, scene: Scene, assignment: Assignment, progress: Progress = silent) -> HeightField:
+        m = scene.lens.microfacets + 1
+        heights = np.broadcast_to(assignment.offsets_mm[..., :1, None] * 0.1, (*assignment.choice.shape, m, m))
+        return HeightField(scene.lens, heights.astype(float), None, {"step_max_mm": float(np.ptp(heights))})
+
+
+class ToyFinisher(Finisher):
+    """Changes nothing."""
+
+    type: ClassVar[str] = "toy"
+
+    def finish(self, scene: Scene, solid: Solid, progress: Progress = silent) -> Solid:
+        return Solid(solid.vertices, solid.faces, solid.grid, solid.eye_mm, {"volume_mm3": 1.0})
+
+
+class ToyExporter(Exporter):
+    """Writes the vertices' bytes."""
+
+    type: ClassVar[str] = "toy"
+    suffix: ClassVar[str] = ".toy"
+
+    def export(self, scene: Scene, solid: Solid, path: Path) -> None:
+        path.write_bytes(np.asarray(solid.vertices).tobytes())
+
+
+class ToyRenderer(Renderer):
+    """Sees the targets, a little darker; it goes by the reference renderer's name."""
+
+    type: ClassVar[str] = "toy"
+
+    def render(self, scene: Scene, solid: Solid, progress: Progress = silent) -> list[FloatArray]:
+        return [0.9 * view.target[::32, ::32] for view in scene.views]
+
+
+class ToyTracer(ToyRenderer):
+    """The same picture under the name of the reference renderer."""
+
+    type: ClassVar[str] = "tracer"
+
+
+TOYS = (ToyMatcher, ToyAnnealer, ToyIntegrator, ToyFinisher, ToyExporter, ToyRenderer, ToyTracer)
+TOY_PLUGIN = Plugin("toys", "magiclens-toys", "1.2")
+
+
+def plugin_of(*stages: object) -> object:
+    """An object that contributes stages, as a plugin's module does."""
+    return SimpleNamespace(mlens_stages=hookimpl(lambda: list(stages), specname="mlens_stages"))
+
+
+def registry_of(*stages: object) -> Registry:
+    """Built-in scenarios and art, and only these stages."""
+    registry = Registry()
+    scenery = SimpleNamespace(mlens_scenarios=builtin.mlens_scenarios, mlens_art=builtin.mlens_art)
+    registry.register(scenery, Plugin("builtin", "magiclens", "0.1.0"))
+    registry.register(plugin_of(*stages), TOY_PLUGIN)
+    assert registry.failures == []
+    return registry
+
+
+def prism(height_field: HeightField) -> Solid:
+    top = np.asarray(height_field.heights_mm).ravel()
+    vertices = np.column_stack([np.arange(len(top)), np.zeros(len(top)), top])
+    return Solid(vertices, np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]], np.int32))
+
+
+def shifted(scene: Scene, candidates: Candidates, assignment: Assignment, height_field: HeightField) -> Candidates:
+    return Candidates(candidates.offsets_mm + 1, candidates.maps, candidates.errors, {"rematched": 1.0})
+
+
+SPEC = """\
+scenario:
+  type: rotating
+  source: {type: circles, seed: 7}
+  targets: [{art: panda}, {art: bat}]
+  angles: [0deg, 90deg]
+lens:
+  size: 20mm
+  facets: 4
+  microfacets: 2
+viewer: {distance: 400mm}
+pipeline:
+  matcher:
+    type: toy
+    sweeps: 5
+  annealer: {type: toy}
+  integrator: {type: toy}
+  finisher: {type: toy}
+  exporters: [{type: toy}]
+  renderers: [{type: tracer}]
+"""
+
+SpecWriter = Callable[..., Path]
+
+
+def no_numbers(manifest: dict[str, Any]) -> dict[str, Any]:
+    """A manifest without its timings."""
+    stages = [{k: v for k, v in stage.items() if k != "seconds"} for stage in manifest["stages"]]
+    return {**{k: v for k, v in manifest.items() if k != "seconds"}, "stages": stages}
