@@ -12,7 +12,8 @@ if TYPE_CHECKING:
 class Observer:
     """Base of all observers; this one only passes on what went wrong without stopping the run.
 
-    ``name`` is what is being worked on, such as ``matcher exhaustive``; ``facets`` is how many facets it works on.
+    ``name`` is what is being worked on, such as ``matcher exhaustive``; ``facets`` is on how many facets, 0 if their
+    number does not matter.
     """
 
     def started(self, name: str, facets: int) -> None:
@@ -45,7 +46,8 @@ class Lines(Observer):
 
     def finished(self, name: str, seconds: float) -> None:
         """Prints name, seconds and rate."""
-        print(f"{name:28}{seconds:8.2f} s  {rate(self._facets, seconds)}", file=self._stream, flush=True)
+        line = f"{name:28}{seconds:8.2f} s  {rate(self._facets, seconds)}"
+        print(line.rstrip(), file=self._stream, flush=True)
 
 
 class Bars(Observer):

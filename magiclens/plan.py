@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from magiclens.artifacts import Lens, Scene
-from magiclens.registry import ART, SCENARIO, STAGE, Plugin, Registry
+from magiclens.registry import ART, SCENARIO, STAGE, Plugin, Registry, blaming
 from magiclens.scenarios.base import Scenario
 from magiclens.spec.checker import Checker
 from magiclens.spec.document import Document, Keys, read_document
@@ -52,6 +52,7 @@ class Plan:
     spec: Spec
     lens: Lens
     scenario: Scenario
+    scenario_plugin: Plugin
     matcher: Step[Matcher]
     annealer: Step[Annealer]
     integrator: Step[Integrator]
@@ -67,7 +68,8 @@ class Plan:
 
     def scene(self) -> Scene:
         """The lens and its views, pictures loaded."""
-        return Scene(self.lens, self.scenario.views(self.lens, self.spec.viewer, self.registry.art))
+        with blaming(f"scenario {self.scenario.type} ({self.scenario_plugin})"):
+            return Scene(self.lens, self.scenario.views(self.lens, self.spec.viewer, self.registry.art))
 
     def resolved(self, inputs: Inputs | None = None) -> dict[str, Any]:
         """The spec with every default written out. ``inputs`` collects its files and makes their paths portable."""
@@ -106,7 +108,7 @@ class _Compiler:
     def plan(self) -> Plan:
         """The plan, or the first mistake."""
         spec = check_spec(self._document, self._checker)
-        scenario = self._scenario()
+        scenario, scenario_plugin = self._scenario()
         steps = self._steps()
         lens = self._fit(spec, scenario) if spec and scenario else None
         settle = self._checker.settle
@@ -114,6 +116,7 @@ class _Compiler:
             spec=settle(spec),
             lens=settle(lens),
             scenario=settle(scenario),
+            scenario_plugin=settle(scenario_plugin),
             matcher=settle(steps["matcher"][0]),
             annealer=settle(steps["annealer"][0]),
             integrator=settle(steps["integrator"][0]),
@@ -123,12 +126,11 @@ class _Compiler:
             registry=self._registry,
         )
 
-    def _scenario(self) -> Scenario | None:
+    def _scenario(self) -> tuple[Scenario, Plugin] | tuple[None, None]:
         written = self._document.data.get("scenario")
-        if not isinstance(written, dict):
-            return None
-        found = self._pick(("scenario",), written, SCENARIO)
-        return self._options(found[0], written, ("scenario",), "key") if found else None
+        choice: Choice = written if isinstance(written, dict) else {}
+        found = self._pick(("scenario",), choice, SCENARIO)
+        return (self._options(found[0], choice, ("scenario",), "key"), found[1]) if found else (None, None)
 
     def _steps(self) -> dict[str, list[Step[Any] | None]]:
         """The stages at each key of the pipeline; None where something is wrong, nothing if the pipeline itself is."""
@@ -182,7 +184,8 @@ class _Compiler:
 
 def _writes(stage: Stage) -> str:
     """The files in a run folder that a stage calls its own."""
-    return f"lens{stage.suffix}" if isinstance(stage, Exporter) else f"renders/{stage.type}"
+    suffix = getattr(stage, "suffix", "")
+    return f"lens{suffix}" if stage.kind == Exporter.kind else f"renders/{stage.type}"
 
 
 def describe(plan: Plan) -> str:
@@ -205,9 +208,13 @@ def _lens_lines(plan: Plan) -> list[str]:
 
 
 def _view_lines(plan: Plan) -> list[str]:
+    options = plan.resolved()["scenario"]
     shots = plan.scenario.shots(plan.lens, plan.spec.viewer)
-    head = f"scenario {plan.scenario.type}: {len(shots)} view{'s' if len(shots) > 1 else ''}"
-    return [head, *(f"  {shot}" for shot in shots)]
+    return [
+        f"scenario {options.pop('type')}",
+        *(f"    {key}: {_inline(value)}" for key, value in options.items()),
+        *(f"  view {shot}" for shot in shots),
+    ]
 
 
 def _stage_lines(plan: Plan) -> list[str]:
@@ -220,6 +227,8 @@ def _stage_lines(plan: Plan) -> list[str]:
 
 def _inline(value: Any) -> str:
     """A value as YAML writes it on one line."""
+    if isinstance(value, dict):
+        return f"{{{', '.join(f'{key}: {_inline(v)}' for key, v in value.items())}}}"
     if isinstance(value, list):
         return f"[{', '.join(map(_inline, value))}]"
     return value if isinstance(value, str) else json.dumps(value)

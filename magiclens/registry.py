@@ -8,15 +8,19 @@ from __future__ import annotations
 
 import inspect
 import traceback
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
+import numpy as np
 import pluggy
 
 from magiclens import hookspecs
-from magiclens.errors import StageError
+from magiclens.artifacts import FloatArray
+from magiclens.errors import MagicLensError, StageError
 from magiclens.stages import KINDS
 
 STAGE, SCENARIO, ART = "stage", "scenario", "art"
@@ -103,9 +107,9 @@ class Registry:
         return sorted(key[-1] for key in self._entries if key[:-1] == kind)
 
     @property
-    def art(self) -> Mapping[str, Callable[[int], Any]]:
-        """Named pictures: a function from a size in pixels to linear light."""
-        return self.classes(ART)
+    def art(self) -> Mapping[str, Callable[[int], FloatArray]]:
+        """Named pictures: a function from a size in pixels to (size, size, C) linear light, C = 1 or 3."""
+        return {name: partial(self._draw, name) for name in self.types(ART)}
 
     def classes(self, *kind: str) -> dict[str, Any]:
         """What the names of ``types(*kind)`` stand for."""
@@ -126,6 +130,16 @@ class Registry:
                 name = implementation.plugin_name
                 complaints.append(f"plugin {name}: {hook} failed: {type(error).__name__}: {error}")
         return complaints
+
+    def _draw(self, name: str, size_px: int) -> FloatArray:
+        found = self.find(ART, name)
+        if found is None:
+            raise KeyError(name)
+        with blaming(f"art {name} ({found[1]})"):
+            picture = np.asarray(found[0](size_px), np.float32)
+            if picture.shape not in [(size_px, size_px, 1), (size_px, size_px, 3)] or not np.isfinite(picture).all():
+                raise ValueError(f"it drew {picture.shape} pixels instead of ({size_px}, {size_px}, 1 or 3), or NaN")
+            return picture
 
     def _load(self, point: EntryPoint) -> None:
         package, version = (point.dist.name, point.dist.version) if point.dist else ("(unknown package)", "?")
@@ -175,6 +189,17 @@ class Registry:
 
     def _fail(self, plugin: Plugin, reason: str) -> None:
         self.failures.append(Failure(plugin, reason))
+
+
+@contextmanager
+def blaming(who: str) -> Iterator[None]:
+    """Whatever goes wrong inside comes out as a StageError that names who did it."""
+    try:
+        yield
+    except MagicLensError:
+        raise
+    except Exception as error:
+        raise StageError(f"{who} failed: {type(error).__name__}: {error}") from error
 
 
 def stage_flaw(cls: Any) -> str | None:

@@ -23,7 +23,7 @@ from magiclens.checks import (
     check_pictures,
     check_solid,
 )
-from magiclens.errors import MagicLensError, StageError
+from magiclens.errors import StageError
 from magiclens.folder import appearing
 from magiclens.manifest import (
     Scores,
@@ -36,6 +36,7 @@ from magiclens.manifest import (
 )
 from magiclens.observers import Observer
 from magiclens.plan import Plan, Step, load_plan
+from magiclens.registry import blaming
 from magiclens.report.data import RunData
 from magiclens.spec.fields import Inputs
 from magiclens.stages import KINDS, Exporter, Progress, Renderer
@@ -88,9 +89,9 @@ class _Worker:
         self._began = perf_counter()
         self._seconds: defaultdict[str, float] = defaultdict(float)
 
-    def part(self, name: str, work: Callable[[], T]) -> T:
+    def part(self, name: str, work: Callable[[], T], facets: int = 0) -> T:
         """A piece of work of our own."""
-        self._observer.started(name, self._facets)
+        self._observer.started(name, facets)
         began = perf_counter()
         result = work()
         seconds = perf_counter() - began
@@ -101,7 +102,7 @@ class _Worker:
     def stage(self, step: Step[Any], work: Callable[[Progress], T], check: Callable[[T], None]) -> T:
         """A piece of work of a stage, whose artifact is checked against the contract."""
         before = self._seconds[step.name]
-        artifact = self.part(step.name, partial(self._guarded, step, work, check))
+        artifact = self.part(step.name, partial(self._guarded, step, work, check), self._facets)
         seconds = self._seconds[step.name] - before
         self.tell("mlens_stage_done", stage=step.stage, artifact=artifact, seconds=seconds)
         return artifact
@@ -116,16 +117,13 @@ class _Worker:
         return {**self._seconds, "total": perf_counter() - self._began}
 
     def _guarded(self, step: Step[Any], work: Callable[[Progress], T], check: Callable[[T], None]) -> T:
-        try:
+        with blaming(str(step)):
             artifact = work(partial(self._observer.progressed, step.name))
-            check(artifact)
-        except MagicLensError:
-            raise
-        except BadArtifact as error:
-            raise StageError(f"{step} broke its contract: {error}") from error
-        except Exception as error:
-            raise StageError(f"{step} failed: {type(error).__name__}: {error}") from error
-        return artifact
+            try:
+                check(artifact)
+            except BadArtifact as error:
+                raise StageError(f"{step} broke its contract: {error}") from error
+            return artifact
 
 
 def _make(plan: Plan, folder: Path, worker: _Worker) -> RunData:

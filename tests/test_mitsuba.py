@@ -7,6 +7,7 @@ red / blue and green / blue still tell which source point it sees.
 from __future__ import annotations
 
 import importlib
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,10 +23,16 @@ ASIDE = (120.0, -60.0, THICK + DISTANCE)
 PIXELS = 20
 PIXEL_MM = SIZE / PIXELS
 BOX_FACES = np.array(
-    [[0, 1, 3], [0, 3, 2], [4, 7, 5], [4, 6, 7], [0, 4, 5], [0, 5, 1], [2, 7, 6], [2, 3, 7], [0, 6, 4], [0, 2, 6]]
-    + [[1, 5, 7], [1, 7, 3]],
+    [
+        [[3, 1, 0], [2, 3, 0]],
+        [[5, 7, 4], [7, 6, 4]],
+        [[5, 4, 0], [1, 5, 0]],
+        [[6, 7, 2], [7, 3, 2]],
+        [[4, 6, 0], [6, 2, 0]],
+        [[7, 5, 1], [3, 7, 1]],
+    ],
     np.int32,
-)[:, ::-1]
+).reshape(12, 3)
 
 
 def prism(slope_x: float = 0.0, slope_y: float = 0.0) -> Solid:
@@ -49,18 +56,25 @@ def picture(
     rotation: float = 0.0,
     gap: float = 0.0,
     source_size: float = SOURCE,
-    **options: object,
+    **options: Any,
 ) -> FloatArray:
     """What Mitsuba shows of one view."""
     view = View("view", source, source, np.array(eye), rotation)
     lens = Lens(size_mm=SIZE, source_size_mm=source_size, thickness_mm=THICK, gap_mm=gap, ior=IOR)
-    settings = {"variant": "scalar_rgb", "resolution": PIXELS, "samples": 64, **options}
+    settings = {"variant": "scalar_rgb", "resolution": PIXELS, "samples": 256, **options}
     return Mitsuba(**settings).render(Scene(lens, (view,)), solid)[0]
 
 
-def seen_points(image: FloatArray) -> FloatArray:
-    """(R, R, 2): the source point that each pixel of a picture of ``ramps`` shows, mm, +y up."""
-    return (image[..., :2] / image[..., 2:] - 0.5) * SOURCE
+def seen_points(
+    solid: Solid, eye: tuple[float, float, float] = ABOVE, rotation: float = 0.0, gap: float = 0.0
+) -> FloatArray:
+    """(R, R, 2): the source point that each pixel shows by light that goes straight through, mm, +y up."""
+    return points_shown(picture(solid, ramps(), eye, rotation, gap, max_depth=3))
+
+
+def points_shown(image: FloatArray) -> FloatArray:
+    """(R, R, 2): the source points whose colours a picture of ``ramps`` shows; black pixels count as its corner."""
+    return (image[..., :2] / np.maximum(image[..., 2:], 1e-6) - 0.5) * SOURCE
 
 
 def plane_points() -> FloatArray:
@@ -91,7 +105,7 @@ def refracted_points(
 ) -> FloatArray:
     """(R, R, 2): where the rays through the pixels meet the source, by Snell's law at a prism's two planes.
 
-    NaN where the ray does not get to the bottom, because one of the slab's sides is in the way.
+    NaN where one of the slab's sides is in the way.
     """
     eye_in_lens, pixel = turned(np.array(eye), -rotation), turned(plane_points(), -rotation)
     direction = pixel - eye_in_lens
@@ -103,7 +117,8 @@ def refracted_points(
     bottom = top - inside * (top[..., 2:] / inside[..., 2:])
     below = snell(inside, np.array([0.0, 0.0, 1.0]), 1 / IOR)
     end = bottom - below * (max(gap, SMALLEST_GAP_MM) / below[..., 2:])
-    end[np.abs(bottom[..., :2]).max(axis=-1) > SIZE / 2 - PIXEL_MM / 2] = np.nan
+    outermost = np.maximum(np.abs(top), np.abs(bottom))[..., :2].max(axis=-1)
+    end[outermost > SIZE / 2 - PIXEL_MM] = np.nan
     return turned(end, rotation)[..., :2]
 
 
@@ -116,33 +131,33 @@ def largest_miss(seen: FloatArray, expected: FloatArray) -> float:
 @pytest.mark.parametrize("gap", [0.0, 60.0])
 @pytest.mark.parametrize("eye", [ABOVE, ASIDE])
 def test_flat_slab_shows_the_source_shifted_by_perspective(eye: tuple[float, float, float], gap: float) -> None:
-    seen = seen_points(picture(prism(), ramps(), eye, gap=gap))
+    seen = seen_points(prism(), eye, gap=gap)
     assert largest_miss(seen, refracted_points(eye=eye, gap=gap)) < 0.2
 
 
 def test_straight_below_an_eye_a_slab_moves_nothing() -> None:
     eye = (17.5, -22.5, THICK + DISTANCE)
-    seen = seen_points(picture(prism(), ramps(), eye))
+    seen = seen_points(prism(), eye)
     assert seen[14, 13] == pytest.approx(eye[:2], abs=0.1)
 
 
 @pytest.mark.parametrize("rotation", [0.0, 90.0, 180.0, 270.0])
 @pytest.mark.parametrize("eye", [ABOVE, ASIDE])
 def test_prism_bends_rays_by_snells_law_at_every_rotation(eye: tuple[float, float, float], rotation: float) -> None:
-    seen = seen_points(picture(prism(0.2, -0.1), ramps(), eye, rotation))
+    seen = seen_points(prism(0.2, -0.1), eye, rotation)
     assert largest_miss(seen, refracted_points((0.2, -0.1), eye, rotation)) < 0.2
 
 
 def test_lens_can_be_turned_by_any_angle() -> None:
-    seen = seen_points(picture(prism(0.2), ramps(), rotation=30.0))
+    seen = seen_points(prism(0.2), rotation=30.0)
     middle = np.s_[5:-5, 5:-5]
     assert largest_miss(seen[middle], refracted_points((0.2, 0.0), rotation=30.0)[middle]) < 0.2
 
 
 def test_quarter_turn_moves_what_points_to_plus_x_to_plus_y() -> None:
-    shift = [seen_points(picture(prism(0.2), ramps(), rotation=r)) - plane_points()[..., :2] for r in (0.0, 90.0)]
+    shift = [seen_points(prism(0.2), rotation=r) - plane_points()[..., :2] for r in (0.0, 90.0)]
     along_x, along_y = (s[5:-5, 5:-5].mean(axis=(0, 1)) for s in shift)
-    assert along_x[0] < -2
+    assert along_x[0] > 2
     assert abs(along_x[1]) < 0.1
     assert along_y == pytest.approx([-along_x[1], along_x[0]], abs=0.1)
 
@@ -161,15 +176,16 @@ def test_mirrored_lens_source_and_eye_show_the_mirrored_picture() -> None:
     solid = prism(0.2, 0.1)
     mirror_image = Solid(solid.vertices * [-1, 1, 1], solid.faces[:, ::-1])
     x, y, z = ASIDE
-    one = picture(solid, ramps(), ASIDE)
-    other = picture(mirror_image, ramps()[:, ::-1], (-x, y, z))
-    assert np.abs(seen_points(other) - seen_points(one[:, ::-1])).max() < 0.2
+    one = picture(solid, ramps(), ASIDE, max_depth=3)
+    other = picture(mirror_image, ramps()[:, ::-1], (-x, y, z), max_depth=3)
+    expected = np.where(np.isfinite(refracted_points((0.2, 0.1), ASIDE)), points_shown(one), np.nan)
+    assert largest_miss(points_shown(other), expected[:, ::-1]) < 0.3
 
 
 def test_slab_transmits_what_fresnel_leaves() -> None:
     reflected = ((IOR - 1) / (IOR + 1)) ** 2
     through = (1 - reflected) / (1 + reflected)
-    brightness = picture(prism(), ramps(), samples=256)[8:-8, 8:-8, 2].mean()
+    brightness = picture(prism(), ramps())[8:-8, 8:-8, 2].mean()
     assert brightness == pytest.approx(through, abs=0.004)
 
 
@@ -199,20 +215,21 @@ def test_equal_seeds_give_equal_pictures_and_others_do_not() -> None:
 
 def test_solid_is_rendered_as_a_float32_file_holds_it() -> None:
     exact = prism(0.2)
-    shifted = Solid(exact.vertices + [[1e-7, -1e-7, 1e-7]], exact.faces)
+    shifted = Solid(exact.vertices + np.array([1e-7, -1e-7, 0]), exact.faces)
     rounded = Solid(exact.vertices.astype(np.float32).astype(float), exact.faces)
-    turned_by = {"rotation": 37.0}
-    assert np.array_equal(picture(shifted, ramps(), **turned_by), picture(rounded, ramps(), **turned_by))
+    assert np.array_equal(picture(shifted, ramps(), rotation=37.0), picture(rounded, ramps(), rotation=37.0))
 
 
-def test_rough_surface_blurs_what_lies_below_and_keeps_its_light() -> None:
+def test_rough_surface_blurs_what_lies_below_and_keeps_most_light() -> None:
     source = np.zeros((64, 64, 1), np.float32)
     source[:, 32:] = 1.0
-    smooth, rough = (picture(prism(), source, roughness=r)[..., 0].mean(axis=0) for r in (0.0, 0.1))
-    assert smooth[PIXELS // 2 - 2] < 0.02
-    assert 0.05 < rough[PIXELS // 2 - 2] < 0.5
-    assert rough[2] < 0.02
-    assert rough.mean() == pytest.approx(smooth.mean(), rel=0.03)
+    smooth, rough = (
+        picture(prism(), source, roughness=r, resolution=100, samples=16)[..., 0].mean(axis=0) for r in (0.0, 0.1)
+    )
+    assert smooth[47] < 0.02
+    assert 0.05 < rough[47] < 0.45
+    assert rough[20] < 0.02
+    assert rough.mean() == pytest.approx(smooth.mean(), rel=0.06)
 
 
 def test_pictures_come_in_the_order_of_the_views_and_progress_ends_at_one() -> None:
@@ -269,6 +286,6 @@ def test_llvm_shows_what_scalar_shows() -> None:
     if module.working_llvm() is None:
         pytest.skip("no LLVM that Mitsuba works with")
     scalar, llvm = (picture(prism(0.2), ramps(), variant=v) for v in ("scalar_rgb", "auto"))
-    assert np.abs(seen_points(llvm) - seen_points(scalar)).max() < 0.2
+    assert np.abs(llvm - scalar)[2:-2, 2:-2].max() < 0.1
     assert llvm.mean() == pytest.approx(scalar.mean(), rel=0.01)
     assert np.array_equal(llvm, picture(prism(0.2), ramps(), variant="auto"))

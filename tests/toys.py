@@ -13,6 +13,7 @@ from pydantic import Field
 from magiclens import builtin
 from magiclens.artifacts import Assignment, Candidates, FloatArray, HeightField, Scene, Solid
 from magiclens.hookspecs import hookimpl
+from magiclens.images.resample import resize
 from magiclens.registry import Plugin, Registry
 from magiclens.stages import Annealer, Exporter, Finisher, Integrator, Matcher, Progress, Renderer, silent
 from magiclens.units import Length, LengthOrPercent, relative
@@ -79,12 +80,12 @@ class ToyExporter(Exporter):
 
 
 class ToyRenderer(Renderer):
-    """Sees the targets, a little darker; it goes by the reference renderer's name."""
+    """Sees the targets, darker and blurred."""
 
     type: ClassVar[str] = "toy"
 
     def render(self, scene: Scene, solid: Solid, progress: Progress = silent) -> list[FloatArray]:
-        return [0.9 * view.target[::32, ::32] for view in scene.views]
+        return [0.9 * resize(resize(view.target, (16, 16)), (32, 32)) for view in scene.views]
 
 
 class ToyTracer(ToyRenderer):
@@ -147,7 +148,7 @@ pipeline:
 SpecWriter = Callable[..., Path]
 
 
-def no_numbers(manifest: dict[str, Any]) -> dict[str, Any]:
+def no_timings(manifest: dict[str, Any]) -> dict[str, Any]:
     """A manifest without its timings."""
     stages = [{k: v for k, v in stage.items() if k != "seconds"} for stage in manifest["stages"]]
     return {**{k: v for k, v in manifest.items() if k != "seconds"}, "stages": stages}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 from pydantic import Field
 
@@ -15,6 +15,10 @@ class Poisson(Integrator):
 
     type: ClassVar[str] = "poisson"
 
+    placement: Literal["light", "steps"] = Field(
+        "light", description="facets' heights: least light lost at walls, or least squared steps (4.5)"
+    )
+    step_weight: float = Field(0.002, ge=0, description="`light` only: cost of a squared step per edge, per mm^2")
     screening: float = Field(
         1e-3, ge=0, description="pulls facets back to the reference plane; raised when the relief would be exceeded"
     )

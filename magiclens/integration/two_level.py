@@ -12,10 +12,15 @@ from magiclens.artifacts import Assignment, FloatArray, HeightField, Scene
 from magiclens.errors import StageError
 from magiclens.integration.measures import measures
 from magiclens.integration.orientation import edge_rises
+from magiclens.integration.placement import place_for_light
+from magiclens.optics.walls import cost_of_lost_light
 from magiclens.stages import Progress
 
 if TYPE_CHECKING:
     from magiclens.integration.poisson import Poisson
+
+SETTLING = 3
+"""Rounds after which `light` placement keeps its levels: its energy has kinks, at which it would chatter."""
 
 
 def integrate(options: Poisson, scene: Scene, assignment: Assignment, progress: Progress) -> HeightField:
@@ -23,11 +28,16 @@ def integrate(options: Poisson, scene: Scene, assignment: Assignment, progress: 
     lens = scene.lens
     n, k = lens.facets, lens.microfacets + 1
     heights = np.zeros((n, n, k, k))
+    loss = cost_of_lost_light(scene) / lens.pitch_mm
     damping, last, screening = options.damping, np.inf, options.screening
     for done in range(options.iterations):
         rows, columns, clamped = edge_rises(scene, assignment, heights)
         shapes = lenslets(rows, columns).reshape(n, n, k, k)
-        target, screening = place(shapes, screening, lens.relief_mm)
+        if done < SETTLING or options.placement == "steps":
+            levels, screening = place(shapes, screening, lens.relief_mm)
+        if done < SETTLING and options.placement == "light":
+            levels = place_for_light(scene, assignment, shapes, levels, loss, options.step_weight)
+        target = shapes + levels[:, :, None, None]
         change = float(np.abs(target - heights).max())
         # a contraction shrinks the change every time; where it does not, smaller steps make it one
         damping = damping if change < last else 0.5 * damping
@@ -78,10 +88,10 @@ def lenslets(rows: FloatArray, columns: FloatArray) -> FloatArray:
 
 
 def place(shapes: FloatArray, screening: float, relief: float) -> tuple[FloatArray, float]:
-    """Raise or lower every facet so that neighbouring edges meet; the screening used comes with the heights.
+    """(N, N) heights of facets at which neighbouring edges meet best, and the screening used.
 
     shapes: (N, N, k, k) mm, zero mean. Minimises the squared mean mismatch over shared edges plus ``screening`` times
-    the squared offsets. The screening is raised, where needed, until no height leaves +-relief.
+    the squared heights. The screening is raised, where needed, until nothing leaves +-relief.
     """
     n = shapes.shape[0]
     right = (shapes[:, :-1, :, -1] - shapes[:, 1:, :, 0]).mean(axis=-1)
@@ -95,14 +105,15 @@ def place(shapes: FloatArray, screening: float, relief: float) -> tuple[FloatArr
     spectrum[0, 0] = 0.0
     eigenvalues = _cosines(n)[1].copy()
     eigenvalues[0, 0] = 1.0
+    tallest = np.abs(shapes).max(axis=(2, 3))
+    if tallest.max() > relief:
+        i, j = np.unravel_index(tallest.argmax(), (n, n))
+        raise StageError(
+            f"facet (row {i}, column {j}) alone rises {tallest.max():.2f} mm, more than the relief of "
+            f"{relief:g} mm: use more facets, a smaller window or a larger lens.relief"
+        )
     while True:
-        heights = shapes + idctn(spectrum / (eigenvalues + screening), norm="ortho")[:, :, None, None]
-        if np.abs(heights).max() <= relief:
+        heights = idctn(spectrum / (eigenvalues + screening), norm="ortho")
+        if (np.abs(heights) + tallest).max() <= relief:
             return heights, screening
-        if screening > 1e6:
-            i, j = np.unravel_index(np.abs(shapes).max(axis=(2, 3)).argmax(), (n, n))
-            raise StageError(
-                f"facet (row {i}, column {j}) alone rises {np.abs(shapes).max():.2f} mm, more than the relief of "
-                f"{relief:g} mm: use more facets, a smaller window or a larger lens.relief"
-            )
         screening = max(1.3 * screening, 1e-6)

@@ -20,6 +20,10 @@ if TYPE_CHECKING:
     from magiclens.matching.exhaustive import Exhaustive
 
 
+GRAIN_MARGIN = 1.0
+"""."""
+
+
 class Pool:
     """The candidates under construction: flat facets, one bucket per candidate, image frame (y down)."""
 
@@ -54,6 +58,13 @@ def optics(scene: Scene) -> tuple[FloatArray, float, float, float, float]:
     return eye, lens.thickness_mm, lens.gap_mm, lens.ior, math.cos(math.radians(lens.max_slope_deg))
 
 
+def seen_grain(scene: Scene) -> float:
+    """Side of the source patch, mm, that the eye sees through one flat micro-facet."""
+    lens = scene.lens
+    spread = (lens.thickness_mm / lens.ior + lens.gap_mm) / (scene.reference_eye_mm[2] - lens.thickness_mm)
+    return GRAIN_MARGIN * (1 + spread) * lens.pitch_mm / lens.microfacets
+
+
 def match(options: Exhaustive, scene: Scene, progress: Progress) -> Candidates:
     """See ``Exhaustive.match``."""
     lens, channels = scene.lens, stack_channels(scene)
@@ -69,9 +80,11 @@ def match(options: Exhaustive, scene: Scene, progress: Progress) -> Candidates:
             "use a smaller window or scales, a thicker lens, a larger gap or max_slope, or a larger source"
         )
     pool.sort()
-    widths = (0.0, 0.15, 0.3, 0.5)
+    fine = channels.tiles(lens.facets, 2 * options.pixels).reshape(len(tiles), -1, *(2 * options.pixels,) * 2)
+    grain = seen_grain(scene)
+    widths = (0.0, 0.1, 0.2, 0.35)
     polish(
-        tiles, blur_levels(channels.source, channels.source_px_mm, widths), np.array(widths),
+        fine, blur_levels(channels.source, channels.source_px_mm, grain, widths), np.array(widths),
         1 / channels.source_px_mm, centres, lens.pitch_mm, window, step, options.polish, 10, options.maps == "scale",
         *optics(scene), pool.errors, pool.offsets, pool.maps,
     )
@@ -86,16 +99,17 @@ def search_all(
     """Search every raster; rasters that share their x axis share its footprint averages."""
     size, source = scene.lens.source_size_mm, channels.source
     px = scene.lens.pitch_mm / options.pixels
+    grain = seen_grain(scene)
     per_side = options.pixels // rasters.BLOCK
     blocks = tiles.reshape(*tiles.shape[:2], per_side, rasters.BLOCK, per_side, rasters.BLOCK).mean(axis=(3, 5))
     symmetric = options.maps == "symmetric"
     pairs = list(itertools.product(options.scales, repeat=2)) if symmetric else [(s, s) for s in options.scales]
     for done, (sx, group) in enumerate(itertools.groupby(pairs, key=lambda p: p[0])):
         x = rasters.axis(sx, px, step, size)
-        columns = rasters.average_columns(source, *rasters.footprints(x, sx * px, size, source.shape[2]))
+        columns = rasters.average_columns(source, *rasters.footprints(x, sx * px + grain, size, source.shape[2]))
         for _, sy in group:
             y = rasters.axis(sy, px, step, size)
-            taps = rasters.footprints(y, sy * px, size, source.shape[1])
+            taps = rasters.footprints(y, sy * px + grain, size, source.shape[1])
             samples, means = rasters.build(columns, *taps, x, y)
             search(
                 tiles, blocks, samples, means, sx, sy, x.spacing_mm, y.spacing_mm, x.count, y.count, x.skip, y.skip,

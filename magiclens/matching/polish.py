@@ -19,15 +19,24 @@ PARAMETERS = 5
 """Offset x, y and map xx, xy, yy."""
 
 
-def blur_levels(source: FloatArray, source_px_mm: float, widths_mm: tuple[float, ...]) -> FloatArray:
-    """(L, C, H, W) float32 display values: the source (C, H, W, linear light) averaged over boxes of these widths."""
-    from scipy.ndimage import uniform_filter
+def blur_levels(source: FloatArray, source_px_mm: float, grain_mm: float, widths_mm: tuple[float, ...]) -> FloatArray:
+    """(L, C, H, W) float32 display values: the source (C, H, W, linear light) averaged over boxes of these widths.
 
-    out = []
-    for width in widths_mm:
-        n = round(width / source_px_mm)
-        out.append(to_display(uniform_filter(source, (0, n, n), mode="nearest") if n > 1 else source))
-    return np.stack(out).astype(np.float32)
+    A flat micro-facet shows a patch of its own size, ``grain_mm``, unmagnified: every level is averaged over that too.
+    """
+    grained = _box_blur(source, grain_mm / source_px_mm)
+    return np.stack([to_display(_box_blur(grained, w / source_px_mm)) for w in widths_mm]).astype(np.float32)
+
+
+def _box_blur(image: FloatArray, width: float) -> FloatArray:
+    """Average of (C, H, W) over a centred square of ``width`` pixels, which need not be a whole number."""
+    from scipy.ndimage import convolve1d
+
+    if width <= 1.0:
+        return image
+    whole = int((width - 1) / 2)
+    kernel = np.concatenate([[(width - 1) / 2 - whole], np.ones(2 * whole + 1), [(width - 1) / 2 - whole]]) / width
+    return convolve1d(convolve1d(image, kernel, axis=1, mode="nearest"), kernel, axis=2, mode="nearest")
 
 
 @njit(cache=True, fastmath=True)

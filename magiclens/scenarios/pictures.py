@@ -61,7 +61,7 @@ class Circles(_Source):
         return circles(size_mm, _pixels(size_mm) / size_mm, rng, (self.radius[0], self.radius[1]), inks, self.layers)
 
     def __str__(self) -> str:
-        return f"circles, seed {self.seed}"
+        return f"circles (seed {self.seed})"
 
 
 class ImageSource(_Source):

@@ -1,0 +1,1 @@
+"""Choosing one candidate per facet so that neighbours fit together (4.4)."""

@@ -1,0 +1,1 @@
+"""From heights to a closed mesh that is fit for fabrication."""

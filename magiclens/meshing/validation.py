@@ -1,0 +1,174 @@
+"""Is a solid fit for fabrication? Pure checks of a triangle mesh, as a float32 file will hold it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from magiclens.artifacts import IntArray, Solid
+from magiclens.meshing.intersections import cannot_cut_itself, faces_that_cut
+
+Search = Literal["auto", "always", "never"]
+
+
+@dataclass(frozen=True)
+class Flaw:
+    """What makes a solid unfit, how often it does, and a vertex of the first place (None: the whole solid)."""
+
+    what: str
+    count: int
+    vertex: int | None = None
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What is known of a solid, and what is wrong with it."""
+
+    metrics: Mapping[str, float]
+    flaws: tuple[Flaw, ...]
+
+    def __add__(self, other: Findings) -> Findings:
+        return Findings({**self.metrics, **other.metrics}, self.flaws + other.flaws)
+
+
+def validate(solid: Solid, search: Search = "auto") -> Findings:
+    """Everything below; checks that need a closed, oriented surface are left out when there is none."""
+    exported = as_exported(solid)
+    found = check_topology(exported) + check_areas(exported)
+    if not found.flaws:
+        found += check_volume(exported)
+    if not found.flaws and search != "never":
+        found += check_self_intersections(exported, reason=search == "auto")
+    return found
+
+
+def as_exported(solid: Solid) -> Solid:
+    """The solid with its vertices rounded to float32, as STL and PLY files hold them."""
+    rounded = solid.vertices.astype(np.float32).astype(np.float64)
+    return Solid(rounded, solid.faces, solid.grid, solid.eye_mm, dict(solid.metrics))
+
+
+class Edges:
+    """The edges of a triangle mesh, sorted so that all uses of an edge by a face follow one another.
+
+    A use is numbered 3 f + k: it runs from corner k of face f to the next one. ``start`` and ``end`` are the vertices
+    of every use, ``order`` the sorted uses; ``open``, ``paired`` and ``crowded`` are the positions in ``order`` of the
+    first use of each edge that one, two and more than two faces have.
+    """
+
+    def __init__(self, faces: IntArray, vertices: int):
+        """faces: (F, 3), indices below ``vertices``."""
+        self.start = faces.astype(np.int64).ravel()
+        self.end = np.roll(faces, -1, axis=1).astype(np.int64).ravel()
+        edge = np.minimum(self.start, self.end) * vertices + np.maximum(self.start, self.end)
+        self.order = np.argsort(edge)
+        edge = edge[self.order]
+        first = np.flatnonzero(np.concatenate([[True], edge[1:] != edge[:-1]]))
+        uses = np.diff(np.append(first, len(edge)))
+        self.open, self.paired, self.crowded = first[uses == 1], first[uses == 2], first[uses > 2]
+
+    @property
+    def pairs(self) -> tuple[IntArray, IntArray]:
+        """The two uses of every edge that two faces have."""
+        return self.order[self.paired], self.order[self.paired + 1]
+
+    def vertex(self, position: int) -> int:
+        """The lower vertex of the edge at a position in ``order``."""
+        use = self.order[position]
+        return int(min(self.start[use], self.end[use]))
+
+
+def check_topology(solid: Solid) -> Findings:
+    """Watertight, two-manifold, consistently oriented, one body."""
+    edges = Edges(solid.faces, len(solid.vertices))
+    one, other = edges.pairs
+    flipped = edges.paired[edges.start[one] == edges.start[other]]
+    flaws = [
+        Flaw(what, len(found), edges.vertex(found[0]))
+        for what, found in (
+            ("edges bound one face only", edges.open),
+            ("edges bound more than two faces", edges.crowded),
+            ("edges lie between faces of opposite orientation", flipped),
+        )
+        if len(found)
+    ]
+    # Where more than two faces meet in an edge, it is not known which of them belong together.
+    pinched = _pinched_vertices(edges, len(solid.vertices)) if not len(edges.crowded) else np.empty(0, int)
+    if len(pinched):
+        flaws.append(Flaw("vertices join surfaces that are not neighbours", len(pinched), int(pinched[0])))
+    bodies = _bodies(edges, len(solid.vertices))
+    if bodies > 1:
+        flaws.append(Flaw("bodies instead of one", bodies))
+    watertight = not len(edges.open) and not len(edges.crowded)
+    metrics = {
+        "watertight": float(watertight),
+        "two_manifold": float(watertight and not len(pinched)),
+        "consistently_oriented": float(not len(flipped)),
+        "bodies": float(bodies),
+    }
+    return Findings(metrics, tuple(flaws))
+
+
+def check_areas(solid: Solid) -> Findings:
+    """No face is thinner than what float32 can tell apart at the solid's size."""
+    corners = solid.vertices[solid.faces]
+    sides = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
+    double_area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    finest = np.spacing(np.float32(np.abs(solid.vertices).max()))
+    thin = np.flatnonzero(double_area <= finest * sides.max(axis=1))
+    flaws = (Flaw("faces have no area", len(thin), int(solid.faces[thin[0]].min())),) if len(thin) else ()
+    return Findings({"zero_area_faces": float(len(thin))}, flaws)
+
+
+def check_volume(solid: Solid) -> Findings:
+    """Normals point outward. The solid must be closed and consistently oriented."""
+    a, b, c = (solid.vertices[solid.faces[:, k]] for k in range(3))
+    volume = float(np.einsum("ij,ij->", a, np.cross(b, c))) / 6
+    flaws = (Flaw("faces, all of them, point inward", len(solid.faces)),) if volume <= 0 else ()
+    return Findings({"volume_mm3": volume, "outward_normals": float(volume > 0)}, flaws)
+
+
+def check_self_intersections(solid: Solid, reason: bool) -> Findings:
+    """No face cuts another one. The search takes long; ``reason`` spares it where the solid's structure allows."""
+    if reason and cannot_cut_itself(solid):
+        return Findings({"self_intersections": 0.0}, ())
+    cut = faces_that_cut(solid)
+    flaws = (Flaw("faces cut through others", len(cut), int(solid.faces[cut[0]].min())),) if len(cut) else ()
+    return Findings({"self_intersections": float(len(cut))}, flaws)
+
+
+def _pinched_vertices(edges: Edges, vertices: int) -> IntArray:
+    """Vertices whose faces form more than one fan. A fan is a set of corners, linked across shared edges."""
+    one, other = edges.pairs
+    opposite = edges.start[one] == edges.end[other]
+    links = (
+        np.concatenate([one, _next(one)]),
+        np.concatenate([np.where(opposite, _next(other), other), np.where(opposite, other, _next(other))]),
+    )
+    fan = _components(*links, len(edges.start))
+    vertex_of_fan = np.empty(fan.max() + 1, np.int64)
+    vertex_of_fan[fan] = edges.start
+    return np.flatnonzero(np.bincount(vertex_of_fan, minlength=vertices) > 1)
+
+
+def _next(use: IntArray) -> IntArray:
+    """The use that follows in the same face."""
+    return use + np.where(use % 3 == 2, -2, 1)
+
+
+def _bodies(edges: Edges, vertices: int) -> int:
+    """How many parts share no vertex."""
+    return len(np.unique(_components(edges.start, edges.end, vertices)[edges.start]))
+
+
+def _components(start: IntArray, end: IntArray, nodes: int) -> IntArray:
+    """(nodes,) label of the connected part that a node of the graph belongs to."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    graph = coo_array((np.ones(len(start), np.int8), (start, end)), shape=(nodes, nodes))
+    labels: IntArray = connected_components(graph, directed=False)[1]
+    return labels

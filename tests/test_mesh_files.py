@@ -1,0 +1,135 @@
+"""Mesh files hold the solid as it is, whoever reads them."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from magiclens.artifacts import FloatArray, HeightField, Lens, Scene, Solid
+from magiclens.fabrication.mesh_files import Obj, Ply, Stl
+from magiclens.meshing.solid import solid_from_heights
+from magiclens.stages import Exporter
+
+LENS = Lens(size_mm=10.0, facets=3, microfacets=4, thickness_mm=8.0, wall_mm=0.002)
+EXPORTERS = [Stl(), Ply(), Obj()]
+every_format = pytest.mark.parametrize("exporter", EXPORTERS, ids=[e.type for e in EXPORTERS])
+
+
+def solid() -> Solid:
+    """A slab with a bumpy top, its facets cut along the rays from an eye."""
+    heights = np.random.default_rng(5).uniform(-0.5, 0.5, (3, 3, 5, 5))
+    return solid_from_heights(HeightField(LENS, heights, np.array([0.0, 0.0, 108.0])))
+
+
+def written(exporter: Exporter, folder: Path, mesh: Solid) -> Path:
+    """The file that an exporter writes."""
+    path = folder / f"lens{exporter.suffix}"
+    exporter.export(Scene(LENS, ()), mesh, path)
+    return path
+
+
+def corners_read(path: Path) -> FloatArray:
+    """(F, 3, 3): the triangles that trimesh reads."""
+    import trimesh
+
+    mesh = trimesh.load_mesh(path, process=False)
+    return np.asarray(mesh.vertices)[np.asarray(mesh.faces)]
+
+
+@every_format
+def test_file_holds_every_triangle_in_its_place_and_order(exporter: Exporter, tmp_path: Path) -> None:
+    mesh = solid()
+    expected = mesh.vertices[mesh.faces]
+    assert np.abs(corners_read(written(exporter, tmp_path, mesh)) - expected).max() < 5e-7
+
+
+@pytest.mark.parametrize("exporter", [Stl(), Ply()], ids=["stl", "ply"])
+def test_binary_files_hold_vertices_rounded_to_float32_and_nothing_else(exporter: Exporter, tmp_path: Path) -> None:
+    mesh = solid()
+    expected = mesh.vertices.astype(np.float32)[mesh.faces]
+    assert np.array_equal(corners_read(written(exporter, tmp_path, mesh)), expected)
+
+
+def test_obj_holds_what_float32_would_round(tmp_path: Path) -> None:
+    mesh = solid()
+    assert np.abs(corners_read(written(Obj(), tmp_path, mesh)) - mesh.vertices[mesh.faces]).max() < 1e-9
+
+
+@pytest.mark.parametrize("exporter", [Ply(), Obj()], ids=["ply", "obj"])
+def test_vertices_that_faces_share_are_written_once(exporter: Exporter, tmp_path: Path) -> None:
+    import trimesh
+
+    mesh = solid()
+    read = trimesh.load_mesh(written(exporter, tmp_path, mesh), process=False)
+    assert len(read.vertices) == len(mesh.vertices)
+    assert np.array_equal(read.faces, mesh.faces)
+
+
+@every_format
+def test_vertices_in_one_place_are_not_merged(exporter: Exporter, tmp_path: Path) -> None:
+    mesh = solid()
+    collapsed = mesh.vertices.copy()
+    collapsed[1] = collapsed[0]
+    corners = corners_read(written(exporter, tmp_path, Solid(collapsed, mesh.faces)))
+    assert len(corners) == len(mesh.faces)
+
+
+@every_format
+def test_equal_solids_give_equal_bytes_and_others_do_not(exporter: Exporter, tmp_path: Path) -> None:
+    moved = solid().vertices.copy()
+    moved[0, 2] += 1e-4
+    for name in ("one", "same", "other"):
+        (tmp_path / name).mkdir()
+    paths = [
+        written(exporter, tmp_path / name, mesh)
+        for name, mesh in (("one", solid()), ("same", solid()), ("other", Solid(moved, solid().faces)))
+    ]
+    one, same, other = (hashlib.sha256(p.read_bytes()).hexdigest() for p in paths)
+    assert one == same
+    assert one != other
+
+
+@every_format
+def test_other_programs_read_the_same_volume(exporter: Exporter, tmp_path: Path) -> None:
+    import pymeshlab
+
+    mesh = solid()
+    meshes = pymeshlab.MeshSet()
+    meshes.load_new_mesh(str(written(exporter, tmp_path, mesh)))
+    meshes.meshing_remove_duplicate_vertices()
+    assert meshes.get_geometric_measures()["mesh_volume"] == pytest.approx(mesh.metrics["volume_mm3"], rel=1e-6)
+    assert meshes.get_topological_measures()["is_mesh_two_manifold"]
+
+
+def test_stl_is_binary_with_a_pinned_header_and_outward_normals(tmp_path: Path) -> None:
+    mesh = solid()
+    data = written(Stl(), tmp_path, mesh).read_bytes()
+    assert data[:80].rstrip() == b"magiclens, binary STL, unit: millimetre"
+    assert not data.startswith(b"solid")
+    assert int.from_bytes(data[80:84], "little") == len(mesh.faces)
+    assert len(data) == 84 + 50 * len(mesh.faces)
+    normals = np.frombuffer(data[84:], np.dtype([("normal", "<f4", 3), ("rest", "V38")]))["normal"]
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    across = np.cross(b - a, c - a)
+    assert np.einsum("ij,ij->i", normals, across) == pytest.approx(np.linalg.norm(across, axis=1), rel=1e-5)
+
+
+def test_ply_is_binary_and_has_no_normals(tmp_path: Path) -> None:
+    mesh = solid()
+    head, body = written(Ply(), tmp_path, mesh).read_bytes().split(b"end_header\n")
+    assert b"format binary_little_endian" in head
+    assert len(body) == 12 * len(mesh.vertices) + 13 * len(mesh.faces)
+
+
+@every_format
+def test_quarter_million_faces_are_written_within_seconds(exporter: Exporter, tmp_path: Path) -> None:
+    from time import perf_counter
+
+    lens = Lens(facets=16, microfacets=22)
+    mesh = solid_from_heights(HeightField(lens, np.zeros((16, 16, 23, 23)), None))
+    began = perf_counter()
+    exporter.export(Scene(lens, ()), mesh, tmp_path / "lens")
+    assert perf_counter() - began < 5.0
