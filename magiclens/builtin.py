@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 @hookimpl
 def mlens_stages() -> Sequence[type[Stage]]:
     """Every built-in stage, in pipeline order."""
+    from magiclens.annealing.heat_bath import HeatBath
     from magiclens.annealing.metropolis import Metropolis
     from magiclens.fabrication.mesh_files import Obj, Ply, Stl
     from magiclens.integration.least_squares import LeastSquares
@@ -28,7 +29,7 @@ def mlens_stages() -> Sequence[type[Stage]]:
     from magiclens.rendering.mitsuba import Mitsuba
     from magiclens.rendering.tracer import Tracer
 
-    return [Exhaustive, Metropolis, Poisson, LeastSquares, Pymeshlab, Stl, Ply, Obj, Tracer, Mitsuba]
+    return [Exhaustive, HeatBath, Metropolis, Poisson, LeastSquares, Pymeshlab, Stl, Ply, Obj, Tracer, Mitsuba]
 
 
 @hookimpl

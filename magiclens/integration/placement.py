@@ -8,6 +8,8 @@ from magiclens.artifacts import Assignment, FloatArray, Scene
 from magiclens.optics.lenslets import EDGE_POINTS, edge_models
 from magiclens.optics.walls import DOWN, LEFT, RIGHT, UP, sweep
 
+SWEEPS = 60
+
 
 def edge_profiles(shapes: FloatArray) -> FloatArray:
     """(N, N, 1, 4, Q) float32: the edges of shapes (N, N, k, k), averaged to Q points, as in ``optics.walls``."""
@@ -19,19 +21,19 @@ def edge_profiles(shapes: FloatArray) -> FloatArray:
 
 
 def place_for_light(
-    scene: Scene, assignment: Assignment, shapes: FloatArray, levels: FloatArray, loss: float, even: float, sweeps: int = 60
+    scene: Scene, assignment: Assignment, shapes: FloatArray, levels: FloatArray, loss: float, even: float, relief: float
 ) -> FloatArray:
     """(N, N) heights of facets that lose least light, by coordinate descent on a convex energy from ``levels``.
 
-    shapes: (N, N, k, k) mm, zero mean. loss, even: see ``optics.walls.settle``.
+    shapes: (N, N, k, k) mm, zero mean. loss, even: see ``optics.walls.settle``. Nothing leaves +-relief.
     """
     n = scene.lens.facets
     _, drifts = edge_models(scene, assignment.offsets_mm[:, :, None], assignment.maps[:, :, None])
     profiles = edge_profiles(shapes)
-    relief = scene.lens.relief_mm - (np.abs(shapes).max() - np.abs(profiles).max())
+    room = relief - (np.abs(shapes).max() - np.abs(profiles).max())
     levels, choice, nothing = levels.copy(), np.zeros((n, n), np.int64), np.zeros((n, n))
-    for _ in range(sweeps):
-        moved = sweep(choice, levels, nothing[..., None], profiles, drifts, loss, even, 1e-5, relief, 0.0, nothing)
+    for _ in range(SWEEPS):
+        moved = sweep(choice, levels, nothing[..., None], profiles, drifts, loss, even, 1e-5, room, 0.0, nothing)
         if moved < 1e-4:
             break
     return levels

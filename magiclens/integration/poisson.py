@@ -22,8 +22,7 @@ class Poisson(Integrator):
     screening: float = Field(
         1e-3, ge=0, description="pulls facets back to the reference plane; raised when the relief would be exceeded"
     )
-    damping: float = Field(1.0, gt=0, le=1, description="fraction of each iteration's change that is applied")
-    iterations: int = Field(30, ge=1, description="orientation and integration rounds, at most")
+    rounds: int = Field(30, ge=1, description="rounds of orientation and integration, at most")
     tolerance: float = Field(1e-5, gt=0, description="stop once no height moves by more than this, mm")
 
     def integrate(self, scene: Scene, assignment: Assignment, progress: Progress = silent) -> HeightField:

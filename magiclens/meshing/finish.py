@@ -54,11 +54,11 @@ def _grid_lines(lens: Lens) -> int:
 
 
 def _listed(lens: Lens, solid: Solid, flaws: tuple[Flaw, ...]) -> str:
-    """One sentence of all flaws, with the place of the first of each."""
+    """All flaws, with their number and the place of the first."""
     texts = []
     for flaw in flaws:
-        place = f", the first {_place(lens, solid, flaw.vertex)}" if flaw.vertex is not None else ""
-        texts.append(f"{flaw.count} {flaw.what}{place}")
+        place = f", the first at {_place(lens, solid, flaw.vertex)}" if flaw.vertex is not None else ""
+        texts.append(f"{flaw.what} ({flaw.count}{place})")
     return "; ".join(texts)
 
 
@@ -67,9 +67,9 @@ def _place(lens: Lens, solid: Solid, vertex: int) -> str:
     lines = _grid_lines(lens)
     if solid.grid == (lines, lines) and vertex < lines**2:
         row, column = (_facet(lens, line) for line in divmod(vertex, lines))
-        return f"at the facet in row {row}, column {column}"
+        return f"facet row {row}, column {column}"
     x, y, z = solid.vertices[vertex]
-    return f"at ({x:.4g}, {y:.4g}, {z:.4g}) mm"
+    return f"x = {x:.4g}, y = {y:.4g}, z = {z:.4g} mm"
 
 
 def _facet(lens: Lens, line: int) -> int:

@@ -89,19 +89,20 @@ def check_topology(solid: Solid) -> Findings:
     flaws = [
         Flaw(what, len(found), edges.vertex(found[0]))
         for what, found in (
-            ("edges bound one face only", edges.open),
-            ("edges bound more than two faces", edges.crowded),
-            ("edges lie between faces of opposite orientation", flipped),
+            ("edges that bound one face only", edges.open),
+            ("edges that bound more than two faces", edges.crowded),
+            ("edges between faces of opposite orientation", flipped),
         )
         if len(found)
     ]
-    # Where more than two faces meet in an edge, it is not known which of them belong together.
-    pinched = _pinched_vertices(edges, len(solid.vertices)) if not len(edges.crowded) else np.empty(0, int)
+    # Fans can be told apart only where it is known which faces belong together.
+    clear = not len(edges.crowded) and not len(flipped)
+    pinched = _pinched_vertices(edges, len(solid.vertices)) if clear else np.empty(0, np.int64)
     if len(pinched):
-        flaws.append(Flaw("vertices join surfaces that are not neighbours", len(pinched), int(pinched[0])))
+        flaws.append(Flaw("vertices that join surfaces which are not neighbours", len(pinched), int(pinched[0])))
     bodies = _bodies(edges, len(solid.vertices))
     if bodies > 1:
-        flaws.append(Flaw("bodies instead of one", bodies))
+        flaws.append(Flaw("separate bodies", bodies))
     watertight = not len(edges.open) and not len(edges.crowded)
     metrics = {
         "watertight": float(watertight),
@@ -119,7 +120,7 @@ def check_areas(solid: Solid) -> Findings:
     double_area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     finest = np.spacing(np.float32(np.abs(solid.vertices).max()))
     thin = np.flatnonzero(double_area <= finest * sides.max(axis=1))
-    flaws = (Flaw("faces have no area", len(thin), int(solid.faces[thin[0]].min())),) if len(thin) else ()
+    flaws = (Flaw("faces without area", len(thin), int(solid.faces[thin[0]].min())),) if len(thin) else ()
     return Findings({"zero_area_faces": float(len(thin))}, flaws)
 
 
@@ -127,7 +128,7 @@ def check_volume(solid: Solid) -> Findings:
     """Normals point outward. The solid must be closed and consistently oriented."""
     a, b, c = (solid.vertices[solid.faces[:, k]] for k in range(3))
     volume = float(np.einsum("ij,ij->", a, np.cross(b, c))) / 6
-    flaws = (Flaw("faces, all of them, point inward", len(solid.faces)),) if volume <= 0 else ()
+    flaws = (Flaw("faces that point inward", len(solid.faces)),) if volume <= 0 else ()
     return Findings({"volume_mm3": volume, "outward_normals": float(volume > 0)}, flaws)
 
 
@@ -136,19 +137,16 @@ def check_self_intersections(solid: Solid, reason: bool) -> Findings:
     if reason and cannot_cut_itself(solid):
         return Findings({"self_intersections": 0.0}, ())
     cut = faces_that_cut(solid)
-    flaws = (Flaw("faces cut through others", len(cut), int(solid.faces[cut[0]].min())),) if len(cut) else ()
+    flaws = (Flaw("faces that cut through others", len(cut), int(solid.faces[cut[0]].min())),) if len(cut) else ()
     return Findings({"self_intersections": float(len(cut))}, flaws)
 
 
 def _pinched_vertices(edges: Edges, vertices: int) -> IntArray:
-    """Vertices whose faces form more than one fan. A fan is a set of corners, linked across shared edges."""
+    """Vertices whose faces form more than one fan: a set of corners, linked across the edges between them."""
     one, other = edges.pairs
-    opposite = edges.start[one] == edges.end[other]
-    links = (
-        np.concatenate([one, _next(one)]),
-        np.concatenate([np.where(opposite, _next(other), other), np.where(opposite, other, _next(other))]),
-    )
-    fan = _components(*links, len(edges.start))
+    # Neighbours run along their common edge in opposite directions, so one starts where the other ends.
+    corners = np.concatenate([one, other]), np.concatenate([_next(other), _next(one)])
+    fan = _components(*corners, len(edges.start))
     vertex_of_fan = np.empty(fan.max() + 1, np.int64)
     vertex_of_fan[fan] = edges.start
     return np.flatnonzero(np.bincount(vertex_of_fan, minlength=vertices) > 1)

@@ -1,0 +1,65 @@
+"""Orientation and integration, alternated until the surface stands still: the outer loop of every integrator (4.5)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from magiclens.artifacts import Assignment, FloatArray, HeightField, Scene
+from magiclens.errors import StageError
+from magiclens.integration.measures import measures
+from magiclens.integration.orientation import edge_rises
+from magiclens.stages import Progress
+
+Solve = Callable[[FloatArray, FloatArray, FloatArray, int], FloatArray]
+"""From edge rises along rows and columns (see ``edge_rises``), the heights now and the round, to new heights."""
+
+STUCK_MM = 1e-2
+"""A surface that still moves by more than this after the last round has not converged."""
+
+
+def iterate(
+    scene: Scene, assignment: Assignment, solve: Solve, rounds: int, tolerance: float, progress: Progress
+) -> HeightField:
+    """Alternate until no height moves by more than ``tolerance`` mm. Raises StageError naming the facet that will not rest.
+
+    Normals depend on heights only weakly, so the iteration contracts; where a change grows all the same, smaller
+    steps are taken.
+    """
+    lens = scene.lens
+    heights = np.zeros((lens.facets, lens.facets, lens.microfacets + 1, lens.microfacets + 1))
+    damping, last = 1.0, np.inf
+    for done in range(rounds):
+        rows, columns, clamped = edge_rises(scene, assignment, heights)
+        move = solve(rows, columns, heights, done) - heights
+        change = float(np.abs(move).max())
+        damping = damping if change < last else 0.5 * damping
+        heights, last = heights + damping * move, change
+        progress((done + 1) / rounds)
+        if change < tolerance:
+            break
+    if change > STUCK_MM:
+        i, j = np.unravel_index(np.abs(move).max(axis=(2, 3)).argmax(), move.shape[:2])
+        raise StageError(
+            f"heights did not converge: facet (row {i}, column {j}) still moves by {change:.3g} mm; "
+            "use a smaller window, a thicker lens or a smaller max_slope"
+        )
+    check_relief(heights, lens.relief_mm)
+    metrics = measures(lens, heights) | {
+        "integration_rounds": done + 1.0,
+        "integration_change_mm": change,
+        "facets_at_slope_limit": float((clamped > 0).sum()),
+    }
+    return HeightField(lens, heights, None if lens.cells == "vertical" else scene.reference_eye_mm, metrics)
+
+
+def check_relief(heights: FloatArray, relief: float) -> None:
+    """Raise StageError naming the facet that leaves the reference plane by more than ``relief`` mm."""
+    tallest = np.abs(heights).max(axis=(2, 3))
+    if tallest.max() > relief * (1 + 1e-9):
+        i, j = np.unravel_index(tallest.argmax(), tallest.shape)
+        raise StageError(
+            f"facet (row {i}, column {j}) needs {tallest.max():.2f} mm of relief, more than lens.relief: {relief:g}mm; "
+            "use more facets, a smaller window or a larger lens.relief"
+        )
