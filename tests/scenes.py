@@ -10,6 +10,7 @@ from magiclens.artifacts import Assignment, Candidates, FloatArray, HeightField,
 from magiclens.images import to_linear
 
 THICK, DISTANCE, IOR = 40.0, 400.0, 1.49
+Eye = tuple[float, float, float]
 ABOVE = (0.0, 0.0, THICK + DISTANCE)
 ASIDE = (70.0, -45.0, THICK + DISTANCE)
 
@@ -20,13 +21,13 @@ def small_lens(facets: int = 4, pitch: float = 3.0, source: float = 60.0, **opti
     return Lens(size_mm=facets * pitch, source_size_mm=source, facets=facets, **settings)
 
 
-def grey_view(source: FloatArray, target: FloatArray, eye: tuple[float, float, float] = ABOVE, turn: float = 0.0) -> View:
+def grey_view(source: FloatArray, target: FloatArray, eye: Eye = ABOVE, turn: float = 0.0) -> View:
     """A view of (H, W) linear-light pictures."""
     pictures = [np.ascontiguousarray(p[..., None], np.float32) for p in (source, target)]
     return View("view", pictures[0], pictures[1], np.array(eye, float), turn)
 
 
-def blank_scene(lens: Lens, eye: tuple[float, float, float] = ABOVE) -> Scene:
+def blank_scene(lens: Lens, eye: Eye = ABOVE) -> Scene:
     """White over black: pictures for tests that need none; light that is lost costs 1."""
     return Scene(lens, (grey_view(np.ones((16, 16)), np.zeros((16, 16)), eye),))
 
@@ -72,7 +73,7 @@ def choices(offsets: FloatArray, maps: FloatArray, errors: FloatArray) -> Candid
     return Candidates(*(np.array(a, np.float32) for a in (offsets, maps, errors)))
 
 
-def surface(lens: Lens, heights: FloatArray, eye: tuple[float, float, float] | None = ABOVE) -> HeightField:
+def surface(lens: Lens, heights: FloatArray, eye: Eye | None = ABOVE) -> HeightField:
     """A height field, from heights that broadcast to (N, N, m + 1, m + 1) mm."""
     k = lens.microfacets + 1
     shape = (lens.facets, lens.facets, k, k)

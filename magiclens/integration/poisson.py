@@ -8,6 +8,7 @@ from pydantic import Field
 
 from magiclens.artifacts import Assignment, HeightField, Scene
 from magiclens.stages import Integrator, Progress, silent
+from magiclens.units import Length
 
 
 class Poisson(Integrator):
@@ -21,6 +22,9 @@ class Poisson(Integrator):
     step_weight: float = Field(0.002, ge=0, description="`light` only: cost of a squared step per edge, per mm^2")
     screening: float = Field(
         1e-3, ge=0, description="pulls facets back to the reference plane; raised when the relief would be exceeded"
+    )
+    step_limit: Length | None = Field(
+        None, description="no step between facets exceeds this; taken from the micro-facets at the border"
     )
     rounds: int = Field(30, ge=1, description="rounds of orientation and integration, at most")
     tolerance: float = Field(1e-5, gt=0, description="stop once no height moves by more than this, mm")

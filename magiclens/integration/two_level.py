@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -9,7 +10,9 @@ import numpy as np
 from scipy.fft import dct, dctn, idctn
 
 from magiclens.artifacts import Assignment, FloatArray, HeightField, Scene
+from magiclens.integration.continuity import limit_steps
 from magiclens.integration.iterate import check_relief, iterate
+from magiclens.integration.measures import measures
 from magiclens.integration.placement import place_for_light
 from magiclens.optics.walls import cost_of_lost_light
 from magiclens.stages import Progress
@@ -41,7 +44,13 @@ def integrate(options: Poisson, scene: Scene, assignment: Assignment, progress: 
             levels = place_for_light(scene, assignment, shapes, levels, loss, options.step_weight, room)
         return shapes + levels[:, :, None, None]
 
-    return iterate(scene, assignment, solve, options.rounds, options.tolerance, progress)
+    built = iterate(scene, assignment, solve, options.rounds, options.tolerance, progress)
+    return built if options.step_limit is None else _without_cliffs(built, options.step_limit)
+
+
+def _without_cliffs(built: HeightField, limit: float) -> HeightField:
+    heights = limit_steps(built.heights_mm, limit)
+    return replace(built, heights_mm=heights, metrics={**built.metrics, **measures(built.lens, heights)})
 
 
 @cache

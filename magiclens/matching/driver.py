@@ -20,8 +20,12 @@ if TYPE_CHECKING:
     from magiclens.matching.exhaustive import Exhaustive
 
 
-GRAIN_MARGIN = 1.0
-"""."""
+GRAIN_MARGIN = 1.4
+"""Patches must look right even when a micro-facet shows this many times its own size.
+
+A pixel rarely sees whole micro-facets, so patches that are only just large enough sparkle. Measured on unseen glyphs at
+22 micro-facets: 1.0 gives the best matching bound, 1.3 to 1.6 the best path-traced picture.
+"""
 
 
 class Pool:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
 from magiclens.artifacts import Candidates, Scene
-from magiclens.errors import InputError
 from magiclens.stages import Matcher, Progress, silent
 from magiclens.units import LengthOrPercent, relative
 
@@ -21,7 +19,7 @@ class Exhaustive(Matcher):
 
     window: LengthOrPercent = Field(relative("10%"), description="side of the search window, of the source's width")
     scales: tuple[float, ...] = Field(
-        (0.1, 0.15, 0.25, 0.4, 0.6, 0.85, 1.2), min_length=1, description="magnitudes of the map along each axis"
+        (0.1, 0.3, 0.8), min_length=1, description="magnitudes of the map along each axis"
     )
     maps: Literal["symmetric", "scale"] = Field(
         "symmetric", description="`scale`: the paper's isotropic scales only; `symmetric`: flips, anisotropy, shear"
@@ -29,7 +27,7 @@ class Exhaustive(Matcher):
     candidates: int = Field(64, ge=1, le=400, description="candidates kept per facet, at most")
     pixels: Literal[4, 8, 16] = Field(8, description="pixels per tile side in the search")
     step: LengthOrPercent = Field(relative("0.13mm"), description="distance between neighbouring offsets")
-    polish: int = Field(16, ge=0, description="candidates per facet that are polished; 0: lattice positions only")
+    polish: int = Field(64, ge=0, description="candidates per facet that are polished; 0: lattice positions only")
 
     def match(self, scene: Scene, rng: np.random.Generator, progress: Progress = silent) -> Candidates:
         """Search, polish, sort. Raises InputError when some facet reaches no patch at all."""

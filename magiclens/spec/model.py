@@ -15,7 +15,7 @@ from magiclens.units import LENGTH, Angle, Length
 MATERIALS = {"acrylic": 1.49, "glass": 1.52, "polycarbonate": 1.585, "pdms": 1.41, "photopolymer": 1.47}
 """Index of refraction of each material, at 589 nm."""
 
-DEFAULT_STAGES = {"matcher": "exhaustive", "annealer": "metropolis", "integrator": "poisson", "finisher": "pymeshlab"}
+DEFAULT_STAGES = {"matcher": "exhaustive", "annealer": "heat-bath", "integrator": "poisson", "finisher": "pymeshlab"}
 """The stage of each kind that runs when the spec does not choose."""
 
 

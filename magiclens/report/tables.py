@@ -1,0 +1,164 @@
+"""The run in words and numbers, as the page's tables show it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from magiclens.artifacts import Scene
+from magiclens.report.contact import place
+from magiclens.report.data import RunData
+from magiclens.report.photographs import Photograph
+
+LABELS = {
+    "matching_psnr_db": "Picture if every facet were perfect, against the target (the bound that matching sets)",
+    "step_mean_mm": "Step between neighbouring facets, mean",
+    "step_max_mm": "Step between neighbouring facets, highest",
+    "slope_mean_deg": "Slope of the surface, mean",
+    "slope_max_deg": "Slope of the surface, steepest",
+    "facets_at_slope_limit": "Facets that are as steep as allowed",
+    "z_min_mm": "Lowest point of the top, above the flat bottom",
+    "z_max_mm": "Highest point of the top, above the flat bottom",
+    "volume_mm3": "Volume",
+    "energy_before": "Energy before annealing",
+    "energy_after": "Energy after annealing",
+    "watertight": "Mesh is watertight",
+    "two_manifold": "Mesh is two-manifold",
+    "consistently_oriented": "Faces are oriented alike",
+    "outward_normals": "Normals point outward",
+    "bodies": "Bodies",
+    "zero_area_faces": "Faces without area",
+    "self_intersections": "Faces that cut others",
+    "smoothing_mm": "Farthest move of a vertex by smoothing",
+}
+"""What metrics are, for people who did not write them; others go by their names."""
+CHECKS = {"watertight", "two_manifold", "consistently_oriented", "outward_normals"}
+UNITS = {"_mm3": (1e-3, " cm³"), "_mm": (1.0, " mm"), "_deg": (1.0, "°"), "_db": (1.0, " dB"), "_px": (1.0, " px")}
+"""By the end of a metric's name: factor and unit."""
+HEADLINES = {"step_mean_mm": "mean step", "slope_mean_deg": "mean slope", "volume_mm3": "volume"}
+CONTENTS = {
+    "lens.": "the lens, in millimetres",
+    "sources/": "a source, to be printed true to scale",
+    "targets/": "what the eye shall see",
+    "renders/": "what the simulated eye sees",
+    "figures/": "a figure of this page",
+    "inputs/": "a picture that the spec uses",
+    "spec.yaml": "the spec, every default written out",
+    "manifest.json": "everything about the run, for programs",
+    "report.html": "this page",
+}
+"""What is in a file of a run folder, by the beginning of its path."""
+
+
+class Row(NamedTuple):
+    """A line of a table."""
+
+    label: str
+    value: str
+
+
+class Scores(NamedTuple):
+    """A view's line in the table of scores; PSNR and SSIM of each renderer."""
+
+    view: str
+    place: str
+    values: Sequence[str]
+
+
+class File(NamedTuple):
+    """A file of the run folder."""
+
+    path: str
+    content: str
+    size: str
+
+
+def headlines(data: RunData, seen: Mapping[str, Sequence[Photograph]]) -> list[Row]:
+    """The few numbers that matter most."""
+    rows = [Row(f"PSNR ({name})", f"{_mean([p.score.psnr_db for p in photos]):.1f} dB") for name, photos in seen.items()]
+    metrics = data.manifest["metrics"]
+    return rows + [Row(label, measure(key, metrics[key])) for key, label in HEADLINES.items() if key in metrics]
+
+
+def lens_rows(scene: Scene) -> list[Row]:
+    """What was decided before anything was designed."""
+    lens = scene.lens
+    return [
+        Row("Size", f"{lens.size_mm:g} × {lens.size_mm:g} mm"),
+        Row("Facets", f"{lens.facets} × {lens.facets}, {lens.pitch_mm:.4g} mm wide"),
+        Row("Micro-facets", f"{lens.microfacets} × {lens.microfacets} in each facet"),
+        Row("Thickness", f"{lens.thickness_mm:g} mm"),
+        Row("Air between source and lens", f"{lens.gap_mm:g} mm"),
+        Row("Index of refraction", f"{lens.ior:g}"),
+        Row("Facets are cut", "along eye rays" if lens.cells == "eye" else "vertically"),
+        Row("Source", f"{lens.source_size_mm:g} × {lens.source_size_mm:g} mm"),
+    ]
+
+
+def score_rows(scene: Scene, seen: Mapping[str, Sequence[Photograph]]) -> list[Scores]:
+    """One row per view, and their mean where there are several."""
+    turned = any(view.quarter_turns for view in scene.views)
+    found = [[s for photos in seen.values() for s in (photos[k].score.psnr_db, photos[k].score.ssim)]
+             for k in range(len(scene.views))]  # fmt: skip
+    rows = [Scores(v.name, place(v, scene.lens, turned), _scores(s)) for v, s in zip(scene.views, found, strict=True)]
+    means = [_mean(column) for column in zip(*found, strict=True)]
+    return [*rows, Scores("mean", "", _scores(means))] if len(rows) > 1 else rows
+
+
+def metric_rows(metrics: Mapping[str, float | None]) -> list[Row]:
+    """Well-known metrics first, then those of plugins."""
+    known = [key for key in LABELS if key in metrics]
+    others = [key for key in metrics if key not in LABELS]
+    return [Row(LABELS.get(key) or _words(key), measure(key, metrics[key])) for key in [*known, *others]]
+
+
+def measure(key: str, value: float | None) -> str:
+    """A metric with its unit."""
+    if value is None:
+        return "not a number"
+    if key in CHECKS:
+        return "yes" if value else "no"
+    factor, unit = next((UNITS[end] for end in UNITS if key.endswith(end)), (1.0, ""))
+    return f"{factor * value:.4g}{unit}"
+
+
+def option_rows(options: Mapping[str, Any]) -> list[Row]:
+    """A stage's options, as YAML would write them."""
+    return [Row(key, value if isinstance(value, str) else json.dumps(value)) for key, value in options.items()]
+
+
+def file_rows(folder: Path) -> Iterator[File]:
+    """What the run folder holds, and the two files that are not written yet."""
+    for path in sorted(p for p in folder.rglob("*") if p.is_file()):
+        name = path.relative_to(folder).as_posix()
+        yield File(name, _content(name), _bytes(path.stat().st_size))
+    for name in ("manifest.json", "report.html"):
+        yield File(name, _content(name), "")
+
+
+def _content(name: str) -> str:
+    return next((text for start, text in CONTENTS.items() if name.startswith(start)), "")
+
+
+def _bytes(size: float) -> str:
+    units = ["bytes", "kB", "MB", "GB"]
+    while size >= 1000 and len(units) > 1:
+        size /= 1000
+        units.pop(0)
+    return f"{size:.3g} {units[0]}"
+
+
+def _words(key: str) -> str:
+    """A plugin's metric without the unit at its end."""
+    end = next((end for end in UNITS if key.endswith(end)), "")
+    return key.removesuffix(end).replace("_", " ").capitalize()
+
+
+def _scores(values: Sequence[float]) -> list[str]:
+    return [f"{value:.3f}" if k % 2 else f"{value:.2f} dB" for k, value in enumerate(values)]
+
+
+def _mean(values: Sequence[float]) -> float:
+    return sum(values) / len(values)

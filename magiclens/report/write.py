@@ -1,0 +1,31 @@
+"""Writes the figures and the page of a run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from magiclens.report.annealed import before_after
+from magiclens.report.contact import contact_sheet
+from magiclens.report.data import RunData
+from magiclens.report.differences import error_map
+from magiclens.report.overlap import overlap_map
+from magiclens.report.page import page
+from magiclens.report.photographs import photographs
+from magiclens.report.surface import height_map, step_map
+
+
+def write_report(data: RunData, folder: Path) -> None:
+    """Write ``figures/*.png`` and ``report.html`` into a run folder; equal runs give equal bytes."""
+    scene, seen = data.scene, photographs(data)
+    figures = [
+        contact_sheet(data, seen),
+        *(error_map(name, photos, scene.views, scene.lens.facets) for name, photos in list(seen.items())[:1]),
+        height_map(data.height_field),
+        step_map(data.height_field),
+        before_after(data),
+        overlap_map(data),
+    ]
+    (folder / "figures").mkdir(exist_ok=True)
+    for figure in figures:
+        figure.image.save(folder / "figures" / f"{figure.name}.png", "PNG", compress_level=4)
+    (folder / "report.html").write_text(page(data, folder, figures, seen), encoding="utf-8")

@@ -1,0 +1,287 @@
+"""Snell, Fresnel and Fermat; lenslets to second order; the light that walls take."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import brentq, minimize_scalar
+
+from magiclens.artifacts import FloatArray, Scene
+from magiclens.optics.lenslets import EDGE_POINTS, central_slopes, edge_models
+from magiclens.optics.refraction import facet_normal, refract, sine_in_slab, transmittance
+from magiclens.optics.walls import DOWN, LEFT, RIGHT, UP, cost_of_lost_light, settle, sweep, total_energy
+from scenes import ABOVE, DISTANCE, IOR, THICK, blank_scene, grey_view, small_lens
+
+EYES = [(0.0, 0.0, THICK + DISTANCE), (120.0, -80.0, THICK + 300.0), (-30.0, 200.0, THICK + 500.0)]
+GAPS = [0.0, 0.5, 25.0, 100.0]
+TOP = np.array([12.0, -7.0, THICK])
+reach = st.floats(-9.0, 9.0)
+
+
+def to_source(ray: tuple[float, float, float], start: FloatArray, gap: float) -> FloatArray:
+    """Where a ray in the slab meets the source plane, by refraction at the flat bottom."""
+    x, y, z = ray
+    at = start - np.array(ray) * start[2] / z
+    if gap > 0:
+        out = np.array(refract(x, y, z, 0.0, 0.0, 1.0, 1 / IOR))
+        at = at - out * gap / out[2]
+    return at[:2]
+
+
+def seen_through(eye: FloatArray, top: FloatArray, normal: tuple[float, float, float], gap: float) -> FloatArray:
+    """The source point that an eye sees at a point of a facet."""
+    ray = (top - eye) / np.linalg.norm(top - eye)
+    return to_source(refract(*ray, *normal, IOR), top, gap)
+
+
+def slab_path(sideways: float, depth: float, gap: float) -> float:
+    """Optical length of Fermat's path from a point in the slab to the source, ``sideways`` mm away."""
+
+    def rate(x: float) -> float:
+        left = sideways - x
+        return IOR * x / math.hypot(x, depth) - left / math.hypot(left, gap)
+
+    x = brentq(rate, 0.0, sideways, xtol=1e-13) if gap > 0 and sideways > 0 else sideways
+    return IOR * math.hypot(x, depth) + math.hypot(sideways - x, gap)
+
+
+@pytest.mark.parametrize("gap", GAPS)
+@pytest.mark.parametrize("eye", EYES)
+def test_light_takes_fermats_path_through_a_facet(eye: tuple[float, float, float], gap: float) -> None:
+    source = TOP[:2] + np.array([6.0, -4.5])
+    normal = np.array(facet_normal(*eye, *TOP, *source, gap, IOR))
+    for along in (np.cross(normal, (0.0, 1.0, 0.0)), np.cross(normal, (1.0, 0.3, 0.0))):
+
+        def rate(s: float, along: FloatArray = along) -> float:
+            """By how much the optical length changes over a short way across the facet."""
+            ends = TOP + (s - 1e-3) * along, TOP + (s + 1e-3) * along
+            before, after = (
+                np.linalg.norm(p - eye) + slab_path(math.hypot(*(source - p[:2])), p[2], gap) for p in ends
+            )
+            return float(after - before)
+
+        stationary = brentq(rate, -3.0, 3.0)
+        assert stationary == pytest.approx(0.0, abs=1e-5)
+
+
+@given(reach, reach, st.sampled_from(EYES), st.sampled_from(GAPS))
+def test_a_facets_normal_shows_the_wanted_source_point(
+    dx: float, dy: float, eye: tuple[float, float, float], gap: float
+) -> None:
+    wanted = TOP[:2] + np.array([dx, dy])
+    normal = facet_normal(*eye, *TOP, *wanted, gap, IOR)
+    assert np.linalg.norm(normal) == pytest.approx(1.0)
+    assert normal[2] > 0
+    np.testing.assert_allclose(seen_through(np.array(eye), TOP, normal, gap), wanted, atol=1e-9)
+
+
+def test_a_facet_tilts_against_the_source_point_it_shows() -> None:
+    """A wedge bends light toward its thick side: to show a point at +x, the facet rises toward +x."""
+    normal = facet_normal(*ABOVE, 0.0, 0.0, THICK, 5.0, 0.0, 0.0, IOR)
+    assert normal[0] < 0
+    assert normal[1] == 0
+
+
+@pytest.mark.parametrize("degrees", [0.0, 20.0, 55.0, 89.0])
+def test_refraction_obeys_snells_sines(degrees: float) -> None:
+    sine, cosine = math.sin(math.radians(degrees)), math.cos(math.radians(degrees))
+    x, y, z = refract(0.6 * sine, 0.8 * sine, -cosine, 0.0, 0.0, 1.0, IOR)
+    assert math.hypot(x, y) == pytest.approx(sine / IOR)
+    assert math.hypot(x, y, z) == pytest.approx(1.0)
+    assert (x, y) == pytest.approx((0.6 * sine / IOR, 0.8 * sine / IOR))
+    assert z < 0
+
+
+def test_light_is_trapped_beyond_the_critical_angle() -> None:
+    critical = math.asin(1 / IOR)
+    for off, trapped in ((-1e-6, False), (1e-6, True)):
+        sine, cosine = math.sin(critical + off), math.cos(critical + off)
+        assert (refract(sine, 0.0, -cosine, 0.0, 0.0, 1.0, 1 / IOR) == (0.0, 0.0, 0.0)) == trapped
+        assert (transmittance(cosine, 1 / IOR) == 0.0) == trapped
+
+
+@pytest.mark.parametrize("n", [1.0, 1.33, 1.49, 2.4, 1 / 1.49])
+def test_reflection_at_normal_incidence(n: float) -> None:
+    assert 1 - transmittance(1.0, n) == pytest.approx(((n - 1) / (n + 1)) ** 2, abs=1e-12)
+
+
+def test_at_brewsters_angle_only_one_polarisation_is_reflected() -> None:
+    n2 = IOR**2
+    cosine = math.cos(math.atan(IOR))
+    assert 1 - transmittance(cosine, IOR) == pytest.approx(0.5 * ((n2 - 1) / (n2 + 1)) ** 2)
+
+
+@given(st.floats(0.01, 1.0))
+def test_transmission_is_the_same_both_ways(cosine: float) -> None:
+    inside = math.sqrt(1 - (1 - cosine**2) / IOR**2)
+    assert transmittance(cosine, IOR) == pytest.approx(transmittance(inside, 1 / IOR), abs=1e-9)
+
+
+@pytest.mark.parametrize("gap", [0.001, 1.0, 100.0, 1e4])
+def test_the_ray_in_the_slab_ends_at_the_wanted_distance(gap: float) -> None:
+    for distance in (0.0, 1e-9, 0.1, 5.0, 60.0, 1000.0):
+
+        def miss(s: float, distance: float = distance) -> float:
+            return THICK * s / math.sqrt(1 - s * s) + gap * IOR * s / math.sqrt(1 - (IOR * s) ** 2) - distance
+
+        root = brentq(miss, 0.0, (1 - 1e-15) / IOR, xtol=1e-15)
+        assert sine_in_slab(distance, THICK, gap, IOR) == pytest.approx(root, abs=1e-11)
+
+
+@pytest.mark.parametrize("gap", [0.0, 1e-6, 0.05, 10.0, 1e5])
+def test_the_angle_in_the_slab_grows_with_distance_up_to_its_limit(gap: float) -> None:
+    sines = np.array([sine_in_slab(d, THICK, gap, IOR) for d in np.geomspace(1e-12, 1e9, 300)])
+    assert (np.diff(sines) >= 0).all()
+    assert np.isfinite(sines).all()
+    assert sines[-1] == pytest.approx(1 / IOR if gap > 0 else 1.0, rel=1e-8)
+
+
+def test_without_a_gap_the_ray_in_the_slab_is_straight() -> None:
+    assert sine_in_slab(30.0, 40.0, 0.0, IOR) == pytest.approx(0.6)
+    assert sine_in_slab(30.0, 40.0, 1e-12, IOR) == pytest.approx(0.6)
+
+
+@pytest.mark.parametrize("offset", [(0.0, 0.0), (4.0, -2.5)])
+@pytest.mark.parametrize("gap", [0.0, 30.0])
+def test_central_slopes_show_the_patches_centres(offset: tuple[float, float], gap: float) -> None:
+    scene = blank_scene(small_lens(gap_mm=gap), EYES[1])
+    centres = scene.lens.facet_centres_mm()
+    slopes = central_slopes(scene, np.broadcast_to(offset, (4, 4, 1, 2)))
+    for i, j in np.ndindex(4, 4):
+        normal = np.append(-slopes[i, j, 0], 1.0)
+        top = np.append(centres[i, j], THICK)
+        seen = seen_through(np.array(EYES[1]), top, tuple(normal / np.linalg.norm(normal)), gap)
+        np.testing.assert_allclose(seen, centres[i, j] + offset, atol=1e-9)
+
+
+def test_a_lenslets_edges_are_those_of_a_quadratic() -> None:
+    """Near the axis the slope is the ray's deviation over (n - 1); h is its integral, of zero mean over the facet."""
+    pitch = 0.2
+    scene = blank_scene(small_lens(1, pitch))
+    xx, xy, yy = -0.6, 0.5, 0.3
+    offsets, maps = np.zeros((1, 1, 1, 2)), np.reshape([xx, xy, yy], (1, 1, 1, 3))
+    profiles, _ = edge_models(scene, offsets, maps)
+    huu, huv, hvv = ((IOR * m / THICK - toward_eye / DISTANCE) / (IOR - 1) for m, toward_eye in (
+        (xx - 1, 1), (xy, 0), (yy - 1, 1)
+    ))
+    along = ((np.arange(EDGE_POINTS) + 0.5) / EDGE_POINTS - 0.5) * pitch
+    half = np.full(EDGE_POINTS, pitch / 2)
+    for edge, (u, v) in {RIGHT: (half, along), UP: (along, half), LEFT: (-half, along), DOWN: (along, -half)}.items():
+        h = huu * u**2 / 2 + huv * u * v + hvv * v**2 / 2 - (huu + hvv) * pitch**2 / 24
+        np.testing.assert_allclose(profiles[0, 0, 0, edge], h, atol=1e-4 * abs(huu) * pitch**2)
+
+
+def test_rays_drift_toward_the_edges_on_the_side_they_are_bent_to() -> None:
+    """Relative to the eye ray along which the wall stands; away from an edge there is no drift toward it."""
+    scene = blank_scene(small_lens(1, 1.0), (40.0, 0.0, THICK + DISTANCE))
+    edges = {RIGHT: (0.5, 0.0), UP: (0.0, 0.5), LEFT: (-0.5, 0.0), DOWN: (0.0, -0.5)}
+    offset = (3.0, -5.0)
+    _, drifts = edge_models(scene, np.reshape(offset, (1, 1, 1, 2)), np.reshape([1.0, 0.0, 1.0], (1, 1, 1, 3)))
+    for edge, (x, y) in edges.items():
+        inside = np.array(offset) / THICK
+        outside = (np.array([x, y]) - (40.0, 0.0)) / DISTANCE
+        outward = float((inside - outside) @ np.sign([x, y]))
+        assert drifts[0, 0, 0, edge] == pytest.approx(max(outward, 0.0), abs=1e-6)
+
+
+def two_facets(step: float, drift: float, edge: int = RIGHT) -> tuple[FloatArray, ...]:
+    """(1 of 2) x 2 facets; the left one is ``step`` higher, all of its rays drift toward one edge."""
+    heights = np.array([[step, 0.0], [0.0, 0.0]])
+    drifts = np.zeros((2, 2, 1, 4))
+    drifts[0, 0, 0, edge] = drift
+    return np.zeros((2, 2), np.int64), heights, np.zeros((2, 2, 1)), np.zeros((2, 2, 1, 4, EDGE_POINTS)), drifts
+
+
+@pytest.mark.parametrize(
+    ("step", "edge", "lost"), [(0.8, RIGHT, 0.8), (0.8, DOWN, 0.8), (0.8, UP, 0.0), (-0.8, RIGHT, 0.0)]
+)
+def test_only_the_higher_side_loses_light_and_only_where_its_rays_drift_to(step: float, edge: int, lost: float) -> None:
+    image, light, even = total_energy(*two_facets(step, 0.1, edge), 2.0, 0.0, 0.0)
+    assert (image, even) == (0.0, 0.0)
+    assert light == pytest.approx(2.0 * 0.1 * lost)
+
+
+def test_every_edge_counts_once_and_both_its_sides_share_the_step() -> None:
+    *facets, profiles, drifts = two_facets(0.8, 0.0)
+    _, light, even = total_energy(*facets, profiles, drifts, 2.0, 0.5, 0.25)
+    assert light == 0.0
+    assert even == pytest.approx(0.5 * 2 * 0.8**2 + 0.25 * 0.8**2)
+
+
+def test_lost_light_costs_what_a_random_source_pixel_in_its_place_would() -> None:
+    lens, n = small_lens(), 16
+    black, white = np.zeros((n, n)), np.ones((n, n))
+    half = np.where(np.arange(n) < n // 2, 0.0, 1.0) * np.ones((n, 1))
+    for source, target, cost in ((white, black, 1.0), (white, white, 0.0), (half, white, 0.5), (half, half, 0.5)):
+        assert cost_of_lost_light(Scene(lens, (grey_view(source, target),))) == pytest.approx(cost, abs=1e-6)
+
+
+def random_facet(rng: np.random.Generator) -> tuple[FloatArray, ...]:
+    own, others = rng.uniform(-1, 1, (2, 4, EDGE_POINTS))
+    others[rng.random(4) < 0.3] = np.nan
+    outward, inward = rng.uniform(0, 0.5, (2, 4))
+    return own, outward, others, inward
+
+
+def cost_at(height: float, facet: tuple[FloatArray, ...], loss: float, even: float, screening: float) -> float:
+    own, outward, others, inward = facet
+    steps = own + height - others
+    lost = np.maximum(steps, 0) * outward[:, None] + np.maximum(-steps, 0) * inward[:, None]
+    return float(np.nansum(loss * lost + even * steps**2) / EDGE_POINTS + screening * height**2)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_facet_settles_where_it_costs_least(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    facet, weights = random_facet(rng), (1.0, rng.choice([0.0, 0.05]), 1e-4)
+    height, cost = settle(*facet, *weights, -1.5, 1.5)
+    best = minimize_scalar(cost_at, bounds=(-1.5, 1.5), args=(facet, *weights), method="bounded")
+    assert cost == pytest.approx(cost_at(height, facet, *weights), rel=1e-9)
+    assert cost <= best.fun + 1e-4
+
+
+def test_a_facet_settles_within_its_bounds() -> None:
+    flat, far = np.zeros((4, EDGE_POINTS)), np.full((4, EDGE_POINTS), 3.0)
+    height, _ = settle(flat, np.zeros(4), far, np.ones(4), 1.0, 1.0, 0.0, -0.5, 0.5)
+    assert height == pytest.approx(0.5, abs=1e-4)
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.integers(0, 2**32 - 1), st.integers(2, 5), st.integers(1, 4))
+def test_a_cold_sweep_never_raises_the_energy(seed: int, n: int, labels: int) -> None:
+    rng = np.random.default_rng(seed)
+    choice, heights = rng.integers(0, labels, (n, n)), rng.uniform(-1, 1, (n, n))
+    errors, drifts = rng.uniform(0, 0.1, (n, n, labels)), rng.uniform(0, 0.4, (n, n, labels, 4))
+    profiles = rng.uniform(-0.5, 0.5, (n, n, labels, 4, EDGE_POINTS))
+    weights = (0.3, 0.02, 1e-4)
+    before = total_energy(choice, heights, errors, profiles, drifts, *weights).sum()
+    for _ in range(3):
+        sweep(choice, heights, errors, profiles, drifts, *weights, 2.0, 0.0, np.zeros((n, n)))
+        after = total_energy(choice, heights, errors, profiles, drifts, *weights).sum()
+        assert after <= before + 1e-4 * n**2
+        before = after
+
+
+def test_lens_centres_start_at_the_upper_left() -> None:
+    centres = small_lens(4, 3.0).facet_centres_mm()
+    np.testing.assert_allclose(centres[0, 0], (-4.5, 4.5))
+    np.testing.assert_allclose(centres[0, 3], (4.5, 4.5))
+    np.testing.assert_allclose(centres[3, 0], (-4.5, -4.5))
+
+
+def test_the_lens_frame_turns_against_the_lens() -> None:
+    """After a quarter turn, what lies at +y in the world lies at the turned lens's own +x."""
+    dot = np.zeros((5, 5))
+    dot[0, 2] = 1.0
+    view = grey_view(dot, dot, (0.0, 70.0, 300.0), 90.0).in_lens_frame()
+    np.testing.assert_allclose(view.eye_mm, (70.0, 0.0, 300.0))
+    for picture in (view.source, view.target):
+        assert picture[2, 4, 0] == 1.0
+    half = replace(view, rotation_deg=180.0).in_lens_frame()
+    np.testing.assert_allclose(half.eye_mm, (-70.0, 0.0, 300.0))
+    assert half.source[2, 0, 0] == 1.0

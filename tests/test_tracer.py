@@ -1,0 +1,355 @@
+"""The built-in tracer against closed forms: slabs, wedges, walls, turns, and the lenses that integration makes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from magiclens.artifacts import FloatArray, HeightField, Lens, Scene, Solid, View
+from magiclens.errors import InputError
+from magiclens.integration.poisson import Poisson
+from magiclens.meshing.solid import solid_from_heights
+from magiclens.optics.lenslets import edge_models
+from magiclens.optics.walls import RIGHT
+from magiclens.rendering.trace import trace, transport
+from magiclens.rendering.tracer import Tracer
+from scenes import (
+    ABOVE,
+    ASIDE,
+    IOR,
+    THICK,
+    Eye,
+    assigned,
+    blank_scene,
+    blotches,
+    grey_view,
+    letter_f,
+    plane_points_mm,
+    ramps,
+    small_lens,
+    surface,
+)
+
+LEFT_BEHIND = (-60.0, 20.0, THICK + 150.0)
+BLANK = np.ones((8, 8))
+UP = np.array([0.0, 0.0, 1.0])
+eyes = pytest.mark.parametrize("eye", [ABOVE, ASIDE], ids=["eye above", "eye aside"])
+cuts = pytest.mark.parametrize("cut", [ABOVE, ASIDE, None], ids=["eye cells", "eye aside cells", "vertical cells"])
+gaps = pytest.mark.parametrize("gap", [0.0, 30.0])
+
+
+def tilted(lens: Lens, slope_x: float, slope_y: float, cut: Eye | None) -> Solid:
+    """A slab whose top is the plane z = thickness + slope_x * x + slope_y * y."""
+    x, y = plane_points_mm(lens)
+    if cut is None:
+        return solid_from_heights(surface(lens, slope_x * x + slope_y * y, None))
+    ex, ey, ez = cut
+    far = ez - lens.thickness_mm
+    rho = (far - slope_x * ex - slope_y * ey) / (far + slope_x * (x - ex) + slope_y * (y - ey))
+    return solid_from_heights(surface(lens, -far * np.log(rho), cut))
+
+
+def refracted(ray: FloatArray, normal: FloatArray, eta: float) -> FloatArray:
+    """Snell's law: the part of the unit vector along the surface shrinks by ``eta``."""
+    along = (ray - (ray @ normal)[..., None] * normal) / eta
+    return along - np.sqrt(1 - (along**2).sum(axis=-1, keepdims=True)) * normal
+
+
+def fresnel(cos_i: FloatArray, cos_t: FloatArray, eta: float) -> FloatArray:
+    """Transmitted share of unpolarised light."""
+    s = 4 * eta * cos_i * cos_t / (cos_i + eta * cos_t) ** 2
+    p = 4 * eta * cos_i * cos_t / (eta * cos_i + cos_t) ** 2
+    return (s + p) / 2
+
+
+def through_a_plane(eye: Eye, q: FloatArray, slope_x: float, slope_y: float, gap: float) -> tuple[FloatArray, FloatArray]:
+    """Source points (..., 2) and transmission seen at points q (..., 2) of the reference plane, through a plane top."""
+    ray = np.concatenate([q, np.full((*q.shape[:-1], 1), THICK)], axis=-1) - eye
+    ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
+    up = np.array([-slope_x, -slope_y, 1.0])
+    start = np.array(eye) + ray * ((THICK - np.array(eye) @ up) / (ray @ up))[..., None]
+    up /= np.linalg.norm(up)
+    inside = refracted(ray, up, IOR)
+    outside = refracted(inside, UP, 1 / IOR)
+    end = start - inside * (start[..., 2:] / inside[..., 2:]) - outside * (gap / outside[..., 2:])
+    share = fresnel(-ray @ up, -inside @ up, IOR) * fresnel(-inside[..., 2], -outside[..., 2], 1 / IOR)
+    return end[..., :2], share
+
+
+def samples_mm(lens: Lens, count: int) -> FloatArray:
+    """(count, count, 2) where the samples of a picture lie on the reference plane."""
+    c = ((np.arange(count) + 0.5) / count - 0.5) * lens.size_mm
+    return np.stack(np.meshgrid(c, -c), axis=-1)
+
+
+@eyes
+@cuts
+@gaps
+def test_a_flat_slab_shows_the_source_displaced_by_perspective(eye: Eye, cut: Eye | None, gap: float) -> None:
+    lens = small_lens(4, 10.0, gap_mm=gap)
+    hits = trace(tilted(lens, 0.0, 0.0, cut), lens, grey_view(BLANK, BLANK, eye), 24, 1)[:, :, 0]
+    q = samples_mm(lens, 24)
+    out = (q - eye[:2]) / (eye[2] - THICK)
+    tangent = np.linalg.norm(out, axis=-1, keepdims=True)
+    sine = tangent / np.hypot(1, tangent)
+    expected = q + (THICK * sine / np.sqrt(IOR**2 - sine**2) + gap * tangent) * out / tangent
+    assert_seen(lens, hits, expected, 2e-5)
+
+
+@eyes
+@cuts
+@gaps
+def test_a_tilted_top_bends_light_as_snell_says(eye: Eye, cut: Eye | None, gap: float) -> None:
+    lens = small_lens(4, 10.0, gap_mm=gap)
+    hits = trace(tilted(lens, 0.25, -0.1, cut), lens, grey_view(BLANK, BLANK, eye), 24, 1)[:, :, 0]
+    points, share = through_a_plane(eye, samples_mm(lens, 24), 0.25, -0.1, gap)
+    seen = assert_seen(lens, hits, points, 2e-5)
+    np.testing.assert_allclose(hits[seen, 2], share[seen], atol=1e-6)
+
+
+def assert_seen(lens: Lens, hits: FloatArray, points: FloatArray, atol: float) -> FloatArray:
+    """Check and return the samples whose light neither meets a wall nor leaves through the slab's sides."""
+    q, half, pitch = samples_mm(lens, len(hits)), lens.size_mm / 2, lens.pitch_mm
+    off_walls = (np.abs((q + half + pitch / 2) % pitch - pitch / 2) > 0.01).all(axis=-1)
+    seen = off_walls & (hits[..., 2] > 0)
+    assert seen[off_walls & (np.abs(q) < half - 12.5).all(axis=-1)].all()
+    np.testing.assert_allclose(hits[seen, :2], points[seen], atol=atol)
+    return seen
+
+
+def test_a_wedge_shows_what_lies_toward_its_thick_side() -> None:
+    lens = small_lens()
+    hits = trace(tilted(lens, 0.3, 0.0, None), lens, grey_view(BLANK, BLANK), 16, 1)[8, 8, 0]
+    assert hits[0] > 3.0
+    assert abs(hits[1]) < 0.5
+
+
+def test_transmission_of_a_flat_slab_is_fresnels() -> None:
+    lens = small_lens(4, 20.0)
+    aside = (400.0, 0.0, THICK + 300.0)
+    hits = trace(tilted(lens, 0.0, 0.0, None), lens, grey_view(BLANK, BLANK, aside), 8, 1)[:, :, 0]
+    _, share = through_a_plane(aside, samples_mm(lens, 8), 0.0, 0.0, 0.0)
+    assert hits[:, 6:, 2] == pytest.approx(share[:, 6:], abs=1e-6)
+    assert share.max() < 0.87
+    straight = 1 - ((IOR - 1) / (IOR + 1)) ** 2
+    above = trace(tilted(lens, 0.0, 0.0, ABOVE), lens, grey_view(BLANK, BLANK), 8, 1)
+    np.testing.assert_allclose(above[:, :, 0, 2], straight**2, atol=1e-4)
+
+
+def test_samples_of_a_pixel_lie_row_by_row_within_it() -> None:
+    lens = small_lens()
+    solid, view = tilted(lens, 0.1, 0.2, ABOVE), grey_view(BLANK, BLANK)
+    coarse, fine = trace(solid, lens, view, 8, 3), trace(solid, lens, view, 24, 1)
+    np.testing.assert_allclose(coarse.reshape(8, 8, 3, 3, 3).swapaxes(1, 2).reshape(24, 24, 3), fine[:, :, 0], atol=1e-6)
+
+
+def test_light_from_beyond_the_source_is_black() -> None:
+    lens = small_lens(4, 5.0, source=20.0, gap_mm=50.0)
+    solid, view = tilted(lens, 0.0, 0.0, ABOVE), grey_view(BLANK, BLANK)
+    points = trace(solid, lens, view, 32, 1)[:, :, 0, :2]
+    beyond = np.abs(points).max(axis=-1) > 10.0
+    assert 0 < beyond.sum() < beyond.size
+    seen = Tracer(resolution=32, samples=1).render(Scene(lens, (view,)), solid)[0][..., 0]
+    assert (seen[~beyond] > 0.9).all()
+    assert (seen[beyond] == 0.0).all()
+
+
+def shown(lens: Lens, solid: Solid, source: FloatArray, **view: object) -> FloatArray:
+    """The picture of a source (H, W, C)."""
+    shot = View("view", source, source, np.array(view.pop("eye", ABOVE)), **view)  # type: ignore[arg-type]
+    return Tracer(resolution=48, samples=2).render(Scene(lens, (shot,)), solid)[0]
+
+
+def test_row_0_shows_plus_y_and_column_0_minus_x() -> None:
+    lens = small_lens(4, source=12.0)
+    seen = shown(lens, tilted(lens, 0.0, 0.0, ABOVE), ramps())
+    red, green = seen[..., 0] / seen[..., 2], seen[..., 1] / seen[..., 2]
+    assert (np.diff(red[4:-4, 4:-4], axis=1) > 0).all()
+    assert (np.diff(green[4:-4, 4:-4], axis=0) < 0).all()
+    assert red[24, 24] == pytest.approx(0.5, abs=0.02)
+
+
+def test_a_flat_slab_shows_an_f_upright_and_not_mirrored() -> None:
+    lens = small_lens(4, source=12.0)
+    glyph = letter_f(96)[..., None]
+    seen = shown(lens, tilted(lens, 0.0, 0.0, ABOVE), glyph)[..., 0]
+    likeness = [
+        np.corrcoef(np.rot90(mirrored, k).ravel(), seen.ravel())[0, 1]
+        for mirrored in (glyph[::2, ::2, 0], glyph[::2, ::-2, 0])
+        for k in range(4)
+    ]
+    assert np.argmax(likeness) == 0
+    assert likeness[0] > max(likeness[1:]) + 0.2
+
+
+@pytest.mark.parametrize("turns", [1, 2, 3])
+@cuts
+def test_a_turned_lens_is_a_lens_that_was_built_turned(turns: int, cut: Eye | None) -> None:
+    """Facets are planes, so that the diagonals of their cells, which turn too, make no difference."""
+    lens, rng = small_lens(3, microfacets=4), np.random.default_rng(turns)
+    x, y = plane_points_mm(lens)
+    a, b, level = rng.uniform(-0.15, 0.15, (3, 3, 3, 1, 1))
+    heights = surface(lens, level + a * x + b * y, cut)
+    turned_cut = None if cut is None else tuple(np.array([*turn_ccw(np.array(cut[:2]), turns), cut[2]]))
+    built = HeightField(lens, np.rot90(np.rot90(heights.heights_mm, turns), turns, (2, 3)).copy(), turned_cut)
+    source = np.repeat(blotches(128, 4.0)[..., None], 1, axis=-1)
+    as_turned = shown(lens, solid_from_heights(heights), source, eye=ASIDE, rotation_deg=90.0 * turns)
+    as_built = shown(lens, solid_from_heights(replace(built, eye_mm=turned_cut and np.array(turned_cut))), source, eye=ASIDE)
+    assert as_turned.std() > 0.05
+    # curves of equal h are not quite planes where cells follow eye rays
+    assert np.abs(as_turned - as_built).mean() < 1e-3
+
+
+def turn_ccw(xy: FloatArray, turns: int) -> FloatArray:
+    """A point after counter-clockwise quarter turns: +x goes to +y."""
+    for _ in range(turns):
+        xy = np.array([-xy[1], xy[0]])
+    return xy
+
+
+def test_a_quarter_turn_moves_plus_x_to_plus_y() -> None:
+    """A wedge that shows what lies toward its own +x shows, once turned, what lies toward the world's +y."""
+    lens = small_lens(source=30.0)
+    seen = shown(lens, tilted(lens, 0.2, 0.0, None), ramps(), rotation_deg=90.0)[24, 24]
+    assert seen[1] / seen[2] > 0.55
+    assert seen[0] / seen[2] == pytest.approx(0.5, abs=0.02)
+
+
+def random_lens(cut: Eye | None = ABOVE) -> tuple[Lens, Solid]:
+    lens = small_lens(3, 4.0, microfacets=4, source=24.0)
+    return lens, solid_from_heights(surface(lens, np.random.default_rng(3).uniform(-0.3, 0.3, (3, 3, 5, 5)), cut))
+
+
+@pytest.mark.parametrize("rotation", [0.0, 90.0, 180.0, 270.0])
+def test_the_picture_is_the_transport_times_the_source(rotation: float) -> None:
+    lens, solid = random_lens()
+    source = np.stack([blotches(80, 2.0, seed) for seed in range(3)], axis=-1)
+    view = View("view", source, source, np.array(ASIDE), rotation)
+    seen = Tracer(resolution=32, samples=2).render(Scene(lens, (view,)), solid)[0]
+    carried = transport(solid, lens, view, 32, 2)
+    assert carried.matrix.shape == (32 * 32, 80 * 80)
+    np.testing.assert_allclose(carried.see(source), seen, atol=1e-5)
+
+
+def test_each_row_of_the_transport_sums_to_the_transmission() -> None:
+    lens, solid = random_lens()
+    view = grey_view(blotches(80, 2.0), BLANK)
+    hits = trace(solid, lens, view, 32, 2)
+    assert np.abs(hits[..., :2]).max() < 12.0
+    sums = transport(solid, lens, view, 32, 2).matrix.sum(axis=1)
+    np.testing.assert_allclose(sums, hits[..., 2].mean(axis=-1).ravel(), atol=1e-5)
+    assert sums.min() < 0.9 < sums.max() < 1.0
+
+
+def raised_facet(lens: Lens, i: int, j: int, step: float, cut: Eye) -> Solid:
+    heights = np.zeros((lens.facets, lens.facets, 1, 1))
+    heights[i, j] = step
+    return solid_from_heights(surface(lens, heights, cut))
+
+
+@pytest.mark.parametrize("step", [0.6, 1.2])
+def test_a_step_takes_a_strip_as_wide_as_step_times_drift_from_the_higher_facet(step: float) -> None:
+    """Eye rays run toward +x here, and less so inside the slab: relative to the walls light drifts toward -x."""
+    lens, count = small_lens(2, 6.0, wall_mm=1e-4), 600
+    view = grey_view(BLANK, BLANK, LEFT_BEHIND)
+    line = 150  # through the middle of the upper facets
+
+    def strip(j: int) -> FloatArray:
+        """x of the samples whose light does not come straight through the facets' tops."""
+        hits = trace(raised_facet(lens, 0, j, step, LEFT_BEHIND), lens, view, count, 1)[line, :, 0]
+        flat = trace(raised_facet(lens, 0, j, 0.0, LEFT_BEHIND), lens, view, count, 1)[line, :, 0]
+        return samples_mm(lens, count)[line, np.abs(hits[:, 0] - flat[:, 0]) > 2.0 * step, 0]
+
+    x = samples_mm(lens, count)[line, :, 0]
+    y = samples_mm(lens, count)[line, 0, 1]
+    outside = np.hypot(LEFT_BEHIND[0], LEFT_BEHIND[1] - y) / 150.0
+    tangent = np.tan(np.arcsin(np.sin(np.arctan(outside)) / IOR))
+    drift = 60.0 / 150.0 * (1 - tangent / outside)
+    lost = strip(1)
+    assert 0.0 < lost.min() < 0.05
+    assert lost.max() == pytest.approx(step * drift, rel=0.1)
+    assert len(lost) == pytest.approx(step * drift / (x[1] - x[0]), rel=0.1)
+    assert len(strip(0)) == 0
+
+
+def test_the_loss_model_predicts_the_strips_width() -> None:
+    """Rays of a facet on the far side of the lens, bent toward +x, drift toward its right edge as ``walls`` says."""
+    lens, count, step, bend = small_lens(2, 6.0, wall_mm=1e-4), 480, 0.8, 5.0
+    x, _ = plane_points_mm(lens)
+    view = grey_view(BLANK, BLANK)
+    chosen = np.zeros((2, 2, 2))
+    chosen[:, 0, 0] = bend
+    scene = blank_scene(lens)
+    field = Poisson(placement="steps").integrate(scene, assigned(chosen, (1, 0, 1)))
+    shape = field.heights_mm[0, 0] - field.heights_mm[0, 0].mean()
+    heights = np.zeros((2, 2, *shape.shape))
+    heights[:, 0] = shape
+    heights[:, 0] += step - shape[:, -1].mean()
+    hits = trace(solid_from_heights(surface(lens, heights)), lens, view, count, 1)
+    row = count // 4
+    seen = hits[row, : count // 2, 0, 0] - samples_mm(lens, count)[row, : count // 2, 0]
+    strip = (np.abs(seen - bend) > 1.0).sum() * lens.size_mm / count
+    _, drifts = edge_models(scene, chosen[:, :, None], np.ones((2, 2, 1, 3)) * (1, 0, 1))
+    assert strip == pytest.approx(step * drifts[0, 0, 0, RIGHT], abs=0.04)
+
+
+def test_cells_along_eye_rays_hide_their_walls_and_keep_their_places() -> None:
+    """However high the facets stand, every sample enters through the facet it belongs to."""
+    lens = small_lens(3, 4.0, microfacets=2)
+    heights = np.random.default_rng(0).uniform(-3, 3, (3, 3, 1, 1))
+    hits = trace(solid_from_heights(surface(lens, heights, ASIDE)), lens, grey_view(BLANK, BLANK, ASIDE), 60, 1)[:, :, 0]
+    q, far = samples_mm(lens, 60), ASIDE[2] - THICK
+    h = far * (1 - np.exp(-heights[:, :, 0, 0] / far)).repeat(20, axis=0).repeat(20, axis=1)[..., None]
+    out = (q - ASIDE[:2]) / far
+    tangent = np.linalg.norm(out, axis=-1, keepdims=True)
+    sine = tangent / np.hypot(1, tangent)
+    straight = q - h * out + (THICK + h) * sine / np.sqrt(IOR**2 - sine**2) * out / tangent
+    inner = kept(lens, 60, 0.0) & (np.abs(hits[..., :2] - straight).max(axis=-1) < 1e-4)
+    assert inner.mean() > 0.75
+
+
+@pytest.mark.parametrize("cut", [ABOVE, None], ids=["eye cells", "vertical cells"])
+def test_a_tall_facet_far_away_darkens_nothing(cut: Eye | None) -> None:
+    """An eye far to the right looks in over the right rim; what happens at the left end of the lens is no matter."""
+    lens, eye = small_lens(4, 5.0), (120.0, 0.0, THICK + 300.0)
+    view = grey_view(BLANK, BLANK, eye)
+    flat = trace(solid_from_heights(surface(lens, np.zeros(1), cut)), lens, view, 40, 1)[:, 30:, 0]
+    heights = np.zeros((4, 4, 1, 1))
+    heights[:, 0] = 3.0
+    tall = trace(solid_from_heights(surface(lens, heights, cut)), lens, view, 40, 1)[:, 30:, 0]
+    seen = flat[..., 2] > 0
+    assert seen.mean() > 0.5
+    np.testing.assert_allclose(tall[seen], flat[seen], atol=1e-5)
+
+
+@pytest.mark.parametrize("eye", [ABOVE, ASIDE], ids=["eye above", "eye aside"])
+@pytest.mark.parametrize(("cells", "gap"), [("eye", 0.0), ("eye", 60.0), ("vertical", 0.0)])
+def test_every_facet_shows_the_patch_it_was_assigned(eye: Eye, cells: str, gap: float) -> None:
+    """Source points seen across a facet, fitted by offset and map, are those of its transformation."""
+    n, per, rng = 4, 24, np.random.default_rng(0)
+    lens = small_lens(n, 4.0, microfacets=24, gap_mm=gap, cells=cells)
+    scene, centres = blank_scene(lens, eye), lens.facet_centres_mm()
+    xx, yy = rng.choice([-1.0, 1.0], (2, n, n)) * rng.uniform(0.2, 0.9, (2, n, n))
+    xy = rng.uniform(-0.3, 0.3, (n, n))
+    # toward the middle of the source, so that no light leaves through the slab's sides
+    wanted = assigned(rng.uniform(-1.5, 1.5, (n, n, 2)) - 0.6 * centres, np.stack([xx, xy, yy], axis=-1))
+    solid = solid_from_heights(Poisson().integrate(scene, wanted))
+    hits = trace(solid, lens, scene.views[0], n * per, 1)[:, :, 0].astype(float)
+    middle = np.abs(np.arange(per) - (per - 1) / 2) < per / 6
+    for i, j in np.ndindex(n, n):
+        own = np.ix_(i * per + np.flatnonzero(middle), j * per + np.flatnonzero(middle))
+        seen, p = hits[own].reshape(-1, 3), samples_mm(lens, n * per)[own].reshape(-1, 2) - centres[i, j]
+        assert seen[:, 2].min() > 0
+        quadratic = np.column_stack([np.ones(len(p)), p, p[:, 0] ** 2, p[:, 0] * p[:, 1], p[:, 1] ** 2])
+        fit = np.linalg.lstsq(quadratic, seen[:, :2], rcond=None)[0]
+        np.testing.assert_allclose(fit[0] - centres[i, j], wanted.offsets_mm[i, j], atol=0.01)
+        np.testing.assert_allclose(fit[1:3], [[xx[i, j], xy[i, j]], [xy[i, j], yy[i, j]]], atol=0.03)
+
+
+def test_a_free_mesh_is_for_other_renderers() -> None:
+    lens, solid = random_lens()
+    free = replace(solid, grid=None)
+    with pytest.raises(InputError, match=r"needs the top's regular grid.*use mitsuba"):
+        trace(free, lens, grey_view(BLANK, BLANK), 16, 1)
