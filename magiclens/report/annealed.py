@@ -15,7 +15,7 @@ from magiclens.report.figure import Figure
 from magiclens.report.photographs import photograph
 from magiclens.report.relief import shaded
 from magiclens.report.scales import Pixels
-from magiclens.report.sheet import Tile, display, sheet
+from magiclens.report.sheet import Tile, display
 
 SIDE = 480
 
@@ -32,7 +32,7 @@ def before_after(data: RunData) -> Figure:
     return Figure(
         "annealing",
         "Before and after annealing",
-        sheet([surfaces, pictures]),
+        [surfaces, pictures],
         "Left, every facet shows the patch that looks best, whatever its neighbours do; right, after annealing, "
         "neighbours fit together. Below is what perfect facets would show in the first view.",
     )

@@ -11,7 +11,7 @@ from magiclens.report.data import RunData
 from magiclens.report.figure import Figure
 from magiclens.report.photographs import Photograph
 from magiclens.report.scales import Pixels
-from magiclens.report.sheet import Tile, display, sheet
+from magiclens.report.sheet import Tile, display
 
 MARK = (232, 89, 12)
 """Orange of the mark on the lens."""
@@ -33,7 +33,7 @@ def contact_sheet(data: RunData, seen: Mapping[str, Sequence[Photograph]]) -> Fi
         rows.append([Tile(*parts) for parts in zip(pictures, titles if k == 0 else blank, captions, strict=True)])
     mark = " The orange corner of the lens shows how it is turned." if turned else ""
     caption = f"One view in each row: what lies under the lens, what it shall show, what simulated cameras see.{mark}"
-    return Figure("contact-sheet", "What the lens shows", sheet(rows), caption)
+    return Figure("contact-sheet", "What the lens shows", rows, caption)
 
 
 def place(view: View, lens: Lens, turned: bool) -> str:

@@ -13,9 +13,9 @@ from magiclens.images.resample import resize
 from magiclens.report.figure import Figure
 from magiclens.report.photographs import Photograph
 from magiclens.report.scales import DIVERGING, Pixels, Scale
-from magiclens.report.sheet import Tile, grid, sheet
+from magiclens.report.sheet import Tile, grid
 
-SIDE = 448
+SIDE = 512
 SCALE = Scale(DIVERGING, -1.0, 1.0)
 
 
@@ -23,13 +23,13 @@ def error_map(renderer: str, photos: Sequence[Photograph], views: Sequence[View]
     """One tile per view: display values of the photograph less those of the target, and the grid of facets."""
     tiles = []
     for view, photo in zip(views, photos, strict=True):
-        picture = gridded(SCALE.paint(difference(photo.picture, view.target, SIDE)), facets)
+        picture = gridded(SCALE.paint(difference(photo.picture, photo.target, SIDE)), facets)
         tiles.append(Tile(picture, "", f"{view.name}: {photo.caption}"))
-    tiles[-1] = replace(tiles[-1], scale=SCALE)
+    rows = [[*row[:-1], replace(row[-1], scale=SCALE)] for row in grid(tiles)]
     return Figure(
         "error",
         "Where the picture differs",
-        sheet(grid(tiles)),
+        rows,
         f"The photograph of the {renderer} against the target, display values from 0 to 1: "
         "red is too bright, blue too dark, white right; lines are the edges of facets.",
     )

@@ -11,7 +11,7 @@ from magiclens.artifacts import Assignment, FloatArray, IntArray, Lens, View
 from magiclens.report.data import RunData
 from magiclens.report.figure import Figure
 from magiclens.report.scales import BLUE_TO_RED, Pixels, Scale
-from magiclens.report.sheet import Tile, display, grid, sheet
+from magiclens.report.sheet import Tile, display, grid
 
 SIDE = 480
 FAINT = np.array([[132, 150, 176], [186, 200, 220]], np.float32)
@@ -25,7 +25,8 @@ def overlap_map(data: RunData) -> Figure:
     views = data.scene.views
     fine = overlaps(data.scene.lens, data.assignment, FINER * SIDE)
     counts = coarse(fine)
-    scale = Scale(BLUE_TO_RED, 0.0, max(float(counts.max()), 1.0))
+    most = np.quantile(counts[counts > 0], 0.999, method="nearest") if counts.any() else 1
+    scale = Scale(BLUE_TO_RED, 0.0, float(most), whole=True)
     caption = f"at most {counts.max()}; {np.mean(fine > 0):.0%} of the source is seen"
     tiles = [Tile(scale.paint(counts), "How many facets see each point", caption, scale)]
     for name in dict.fromkeys(view.source_name for view in views):
@@ -34,7 +35,7 @@ def overlap_map(data: RunData) -> Figure:
     return Figure(
         "overlap",
         "Where the facets look",
-        sheet(grid(tiles)),
+        grid(tiles),
         "The source as it lies under the lens, blue where no facet looks, red where most do; "
         "then the source itself, faded where no facet ever looks.",
     )

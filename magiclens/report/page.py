@@ -7,18 +7,12 @@ import io
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from magiclens.report.data import RunData
 from magiclens.report.figure import Figure
 from magiclens.report.photographs import Photograph
+from magiclens.report.scales import Pixels
 from magiclens.report.tables import file_rows, headlines, lens_rows, metric_rows, option_rows, score_rows
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
-
-LARGEST = (1320, 12000)
-"""Pixels of an embedded picture, at most."""
 
 
 def page(data: RunData, folder: Path, figures: Sequence[Figure], seen: Mapping[str, Sequence[Photograph]]) -> str:
@@ -28,24 +22,26 @@ def page(data: RunData, folder: Path, figures: Sequence[Figure], seen: Mapping[s
     source = (files("magiclens.report") / "templates" / "report.html").read_text(encoding="utf-8")
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     facts = data.manifest
+    environment.filters["embedded"] = embedded
     return environment.from_string(source).render(
         facts=facts,
         lens=data.scene.lens,
-        figures=[(figure, *embedded(figure.image)) for figure in figures],
+        views=len(data.scene.views),
+        figures=figures,
         headlines=headlines(data, seen),
         renderers=list(seen),
         scores=score_rows(data.scene, seen),
         metrics=metric_rows(facts["metrics"]),
         lens_rows=lens_rows(data.scene),
         stages=[(stage, option_rows(stage["options"])) for stage in facts["stages"]],
-        files=list(file_rows(folder)),
+        files=file_rows(folder),
     )
 
 
-def embedded(image: Image) -> tuple[str, int, int]:
-    """A data URI of the image, scaled down to what a page needs, and its width and height."""
-    small = image.copy()
-    small.thumbnail(LARGEST)
+def embedded(picture: Pixels) -> str:
+    """A data URI of a picture (H, W, 3)."""
+    from PIL import Image
+
     content = io.BytesIO()
-    small.save(content, "WEBP", quality=82, method=2)
-    return f"data:image/webp;base64,{base64.b64encode(content.getvalue()).decode()}", small.width, small.height
+    Image.fromarray(picture).save(content, "WEBP", quality=82, method=2)
+    return f"data:image/webp;base64,{base64.b64encode(content.getvalue()).decode()}"

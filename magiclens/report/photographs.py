@@ -7,15 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from magiclens.artifacts import FloatArray, View
+from magiclens.images.resample import resize
 from magiclens.images.score import Score, score
 from magiclens.report.data import RunData
 
 
 @dataclass(frozen=True)
 class Photograph:
-    """picture: (R, R, C) float32, linear light 0..1, the exposure gain applied."""
+    """picture: (R, R, C) float32, linear light 0..1, exposed; target: (R, R, C) float32, what it should be."""
 
     picture: FloatArray
+    target: FloatArray
     score: Score
 
     @property
@@ -26,8 +28,9 @@ class Photograph:
 
 def photograph(picture: FloatArray, view: View) -> Photograph:
     """A picture (R, R, C) in linear light, exposed and scored as the view's."""
-    found = score(picture, view.target)
-    return Photograph(np.clip(picture * np.float32(found.gain), 0, 1), found)
+    target = resize(view.target, picture.shape[:2])
+    found = score(picture, target)
+    return Photograph(np.clip(picture * np.float32(found.gain), 0, 1), target, found)
 
 
 def photographs(data: RunData) -> dict[str, list[Photograph]]:

@@ -22,12 +22,12 @@ GLOW = "100b2e 3b0f6b 6d1d81 a02d7d d3436e f8705c fe9f6d fecf92 fcfdbf"
 
 @dataclass(frozen=True)
 class Scale:
-    """Colours, evenly spread from ``low`` to ``high``. ``anchors`` are hexadecimal RGB values."""
+    """Colours, evenly spread from ``low`` to ``high``. ``anchors`` are hexadecimal RGB values; ``whole``: it counts."""
 
     anchors: str
     low: float
     high: float
-    unit: str = ""
+    whole: bool = False
 
     @property
     def _anchor_colours(self) -> FloatArray:
@@ -41,15 +41,20 @@ class Scale:
         index = np.clip(np.rint(share * 1023), 0, 1023).astype(np.int16)
         return np.stack([np.rint(channel).astype(np.uint8)[index] for channel in table], axis=-1)
 
+    @property
+    def css(self) -> str:
+        """The colour bar as a CSS image, ``low`` at the left."""
+        return f"linear-gradient(to right, {', '.join(f'#{anchor}' for anchor in self.anchors.split())})"
+
     def ticks(self) -> dict[float, str]:
         """Round numbers within the scale and how to write them: by place, 0 at ``low`` and 1 at ``high``."""
         step = _round_step((self.high - self.low) / 4)
+        step = max(step, 1.0) if self.whole else step
         digits = max(0, -math.floor(math.log10(step)))
         numbers = step * np.arange(math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9) + 1)
         sign = "+" if self.low < 0 else ""
         return {
-            float((x - self.low) / (self.high - self.low)): f"{x:{sign if x else ''}.{digits}f}{self.unit}"
-            for x in numbers + 0.0
+            float((x - self.low) / (self.high - self.low)): f"{x:{sign if x else ''}.{digits}f}" for x in numbers + 0.0
         }
 
 

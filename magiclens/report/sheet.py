@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 PAPER, INK, MUTED, RULE = "#ffffff", "#1c2128", "#5c6670", "#c8ced6"
 FINER = 2
 """Pictures with hard edges are painted at this multiple of their size and then shrunk."""
-GAP, TEXT, LINE, BAR, LABELS = 28, 24, 40, 20, 108
+GAP, TEXT, LINE, BAR, LABELS = 28, 24, 40, 20, 76
 """Pixels: between tiles, of a letter, of a line of text, of a colour bar, of the numbers beside it."""
 
 
@@ -52,11 +52,16 @@ def display(linear: FloatArray, side: int) -> Pixels:
     return np.ascontiguousarray(np.broadcast_to(values, (side, side, 3)))
 
 
-def shrunk(picture: Pixels) -> Pixels:
-    """A picture (FINER S, FINER S, 3) at its size (S, S, 3)."""
-    side = len(picture) // FINER
-    blocks = picture.reshape(side, FINER, side, FINER, 3)
-    return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float32) + 0.5, np.uint8)
+def shrunk(picture: FloatArray) -> FloatArray:
+    """(S, S, C) float32: means of the blocks of a picture (FINER S, FINER S, C)."""
+    rows = np.sum([picture[k::FINER] for k in range(FINER)], axis=0, dtype=np.float32)
+    sums = np.sum([rows[:, k::FINER] for k in range(FINER)], axis=0, dtype=np.float32)
+    return np.asarray(sums / FINER**2, np.float32)
+
+
+def painted(scale: Scale, values: FloatArray) -> Pixels:
+    """(S, S, 3): numbers (FINER S, FINER S) in colours, with smooth edges."""
+    return np.rint(shrunk(scale.paint(values).astype(np.float32))).astype(np.uint8)
 
 
 def sheet(rows: Sequence[Sequence[Tile]]) -> Image:

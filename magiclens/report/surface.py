@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from magiclens.artifacts import FloatArray, HeightField
@@ -11,10 +9,7 @@ from magiclens.integration.measures import steps
 from magiclens.report.figure import Figure
 from magiclens.report.relief import relief, sample_heights
 from magiclens.report.scales import DIVERGING, GLOW, Scale
-from magiclens.report.sheet import FINER, Tile, display, sheet, shrunk
-
-if TYPE_CHECKING:
-    pass
+from magiclens.report.sheet import FINER, Tile, display, painted, shrunk
 
 SIDE = 640
 
@@ -22,31 +17,32 @@ SIDE = 640
 def height_map(field: HeightField) -> Figure:
     """Heights in colours, and the top in the light."""
     heights = sample_heights(field, FINER * SIDE)
-    scale = Scale(DIVERGING, -_reach(heights), _reach(heights), " mm")
+    scale = Scale(DIVERGING, -_reach(heights), _reach(heights))
     extent = f"{field.heights_mm.min():+.2f} to {field.heights_mm.max():+.2f} mm about the reference plane"
-    cast = display(relief(heights, field.lens.size_mm / len(heights)), SIDE)
+    cast = display(shrunk(relief(heights, field.lens.size_mm / len(heights))), SIDE)
     tiles = [
-        Tile(shrunk(scale.paint(heights)), "Height", extent, scale),
+        Tile(painted(scale, heights), "Height in mm", extent, scale),
         Tile(cast, "The lens in slanting light", "the lamp is at the upper left"),
     ]
     caption = (
         "The lens seen from above: red stands above the reference plane, blue lies below it; "
         "beside it the same surface as a matt cast in slanting light."
     )
-    return Figure("height-map", "The surface", sheet([tiles]), caption)
+    return Figure("height-map", "The surface", [tiles], caption)
 
 
 def step_map(field: HeightField) -> Figure:
     """The step across every wall, drawn where the wall is."""
     right, below = steps(field.heights_mm)
     jumps = np.concatenate([right.ravel(), below.ravel()]) if right.size else np.zeros(1)
-    scale = Scale(GLOW, 0.0, max(float(np.quantile(jumps, 0.995)), 1e-3), " mm")
+    scale = Scale(GLOW, 0.0, max(float(np.quantile(jumps, 0.995)), 1e-3))
     caption = f"mean {jumps.mean():.3f} mm, highest {jumps.max():.2f} mm"
-    tile = Tile(shrunk(scale.paint(wall_picture(right, below, FINER * SIDE))), "Step across each wall", caption, scale)
+    picture = painted(scale, wall_picture(right, below, FINER * SIDE))
+    tile = Tile(picture, "Step across each wall in mm", caption, scale)
     return Figure(
         "steps",
         "Steps between facets",
-        sheet([[tile]]),
+        [[tile]],
         "Every line is a wall between two facets, the brighter the higher: dark stretches are where neighbours meet.",
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,6 +24,13 @@ LABELS = {
     "volume_mm3": "Volume",
     "energy_before": "Energy before annealing",
     "energy_after": "Energy after annealing",
+    "energy_image": "of which image error",
+    "energy_lost_light": "of which light lost at walls",
+    "energy_even": "of which steps and heights",
+    "annealing_rounds": "Rounds of annealing",
+    "integration_rounds": "Rounds of orientation and integration",
+    "integration_iterations": "Rounds of orientation and integration",
+    "integration_change_mm": "Move of the surface in the last round",
     "watertight": "Mesh is watertight",
     "two_manifold": "Mesh is two-manifold",
     "consistently_oriented": "Faces are oriented alike",
@@ -64,7 +71,7 @@ class Scores(NamedTuple):
 
     view: str
     place: str
-    values: Sequence[str]
+    numbers: Sequence[str]
 
 
 class File(NamedTuple):
@@ -77,34 +84,42 @@ class File(NamedTuple):
 
 def headlines(data: RunData, seen: Mapping[str, Sequence[Photograph]]) -> list[Row]:
     """The few numbers that matter most."""
-    rows = [Row(f"PSNR ({name})", f"{_mean([p.score.psnr_db for p in photos]):.1f} dB") for name, photos in seen.items()]
+    rows = [
+        Row(f"PSNR ({name})", f"{_mean([p.score.psnr_db for p in photos]):.1f} dB") for name, photos in seen.items()
+    ]
     metrics = data.manifest["metrics"]
-    return rows + [Row(label, measure(key, metrics[key])) for key, label in HEADLINES.items() if key in metrics]
+    return rows + [Row(label, measure(key, metrics[key], 3)) for key, label in HEADLINES.items() if key in metrics]
 
 
 def lens_rows(scene: Scene) -> list[Row]:
     """What was decided before anything was designed."""
     lens = scene.lens
     return [
-        Row("Size", f"{lens.size_mm:g} × {lens.size_mm:g} mm"),
-        Row("Facets", f"{lens.facets} × {lens.facets}, {lens.pitch_mm:.4g} mm wide"),
-        Row("Micro-facets", f"{lens.microfacets} × {lens.microfacets} in each facet"),
+        Row("Size", f"{lens.size_mm:g} x {lens.size_mm:g} mm"),
+        Row("Facets", f"{lens.facets} x {lens.facets}, {lens.pitch_mm:.4g} mm wide"),
+        Row("Micro-facets", f"{lens.microfacets} x {lens.microfacets} in each facet"),
         Row("Thickness", f"{lens.thickness_mm:g} mm"),
         Row("Air between source and lens", f"{lens.gap_mm:g} mm"),
         Row("Index of refraction", f"{lens.ior:g}"),
         Row("Facets are cut", "along eye rays" if lens.cells == "eye" else "vertically"),
-        Row("Source", f"{lens.source_size_mm:g} × {lens.source_size_mm:g} mm"),
+        Row("Source", f"{lens.source_size_mm:g} x {lens.source_size_mm:g} mm"),
     ]
 
 
 def score_rows(scene: Scene, seen: Mapping[str, Sequence[Photograph]]) -> list[Scores]:
     """One row per view, and their mean where there are several."""
     turned = any(view.quarter_turns for view in scene.views)
-    found = [[s for photos in seen.values() for s in (photos[k].score.psnr_db, photos[k].score.ssim)]
-             for k in range(len(scene.views))]  # fmt: skip
-    rows = [Scores(v.name, place(v, scene.lens, turned), _scores(s)) for v, s in zip(scene.views, found, strict=True)]
-    means = [_mean(column) for column in zip(*found, strict=True)]
-    return [*rows, Scores("mean", "", _scores(means))] if len(rows) > 1 else rows
+    columns = [
+        column
+        for photos in seen.values()
+        for column in ([p.score.psnr_db for p in photos], [p.score.ssim for p in photos])
+    ]
+    rows = [
+        Scores(view.name, place(view, scene.lens, turned), _scores([column[k] for column in columns]))
+        for k, view in enumerate(scene.views)
+    ]
+    mean = Scores("mean", "", _scores([_mean(column) for column in columns]))
+    return [*rows, mean] if len(rows) > 1 else rows
 
 
 def metric_rows(metrics: Mapping[str, float | None]) -> list[Row]:
@@ -114,14 +129,14 @@ def metric_rows(metrics: Mapping[str, float | None]) -> list[Row]:
     return [Row(LABELS.get(key) or _words(key), measure(key, metrics[key])) for key in [*known, *others]]
 
 
-def measure(key: str, value: float | None) -> str:
-    """A metric with its unit."""
+def measure(key: str, value: float | None, digits: int = 4) -> str:
+    """A metric with its unit, to so many significant digits."""
     if value is None:
         return "not a number"
     if key in CHECKS:
         return "yes" if value else "no"
     factor, unit = next((UNITS[end] for end in UNITS if key.endswith(end)), (1.0, ""))
-    return f"{factor * value:.4g}{unit}"
+    return f"{factor * value:.{digits}g}{unit}"
 
 
 def option_rows(options: Mapping[str, Any]) -> list[Row]:
@@ -129,13 +144,11 @@ def option_rows(options: Mapping[str, Any]) -> list[Row]:
     return [Row(key, value if isinstance(value, str) else json.dumps(value)) for key, value in options.items()]
 
 
-def file_rows(folder: Path) -> Iterator[File]:
-    """What the run folder holds, and the two files that are not written yet."""
-    for path in sorted(p for p in folder.rglob("*") if p.is_file()):
-        name = path.relative_to(folder).as_posix()
-        yield File(name, _content(name), _bytes(path.stat().st_size))
-    for name in ("manifest.json", "report.html"):
-        yield File(name, _content(name), "")
+def file_rows(folder: Path) -> list[File]:
+    """What the run folder holds, with the two files that are written after this."""
+    sizes = {p.relative_to(folder).as_posix(): _bytes(p.stat().st_size) for p in folder.rglob("*") if p.is_file()}
+    sizes |= {"manifest.json": "", "report.html": ""}
+    return [File(name, _content(name), sizes[name]) for name in sorted(sizes)]
 
 
 def _content(name: str) -> str:

@@ -11,6 +11,7 @@ from magiclens.report.differences import error_map
 from magiclens.report.overlap import overlap_map
 from magiclens.report.page import page
 from magiclens.report.photographs import photographs
+from magiclens.report.sheet import sheet
 from magiclens.report.surface import height_map, step_map
 
 
@@ -27,5 +28,5 @@ def write_report(data: RunData, folder: Path) -> None:
     ]
     (folder / "figures").mkdir(exist_ok=True)
     for figure in figures:
-        figure.image.save(folder / "figures" / f"{figure.name}.png", "PNG", compress_level=4)
+        sheet(figure.rows).save(folder / "figures" / f"{figure.name}.png", "PNG", compress_level=4)
     (folder / "report.html").write_text(page(data, folder, figures, seen), encoding="utf-8")

@@ -39,7 +39,7 @@ class LensSpec(SpecModel):
         json_schema_extra={"anyOf": [{"enum": [*MATERIALS]}, {"type": "null"}]},
     )
     ior: float | None = Field(None, gt=1, le=4, description="index of refraction, instead of a material")
-    wall: Length = Field("2um", validate_default=True, gt=0, description="width of the strip between two facets")
+    wall: Length = Field("0.5um", validate_default=True, gt=0, description="width of the strip between two facets")
     relief: Length = Field(
         "5mm", validate_default=True, gt=0, description="how far the top may leave the reference plane"
     )

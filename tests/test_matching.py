@@ -1,0 +1,399 @@
+"""Matching: rasters are box averages, the search is exhaustive, and patches are found where they were cut out."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy.ndimage import map_coordinates
+
+from magiclens.artifacts import Assignment, Candidates, FloatArray, Lens, Scene, View
+from magiclens.errors import InputError
+from magiclens.images import to_display, to_linear
+from magiclens.matching import raster as rasters
+from magiclens.matching.channels import stack_channels
+from magiclens.matching.driver import Pool, search_all
+from magiclens.matching.exhaustive import Exhaustive
+from magiclens.matching.polish import blur_levels
+from magiclens.matching.predict import predict
+from magiclens.optics.refraction import facet_normal
+from magiclens.stages import silent
+from scenes import ABOVE, ASIDE, IOR, THICK, Eye, assigned, blotches, grey_view, letter_f, ramps, small_lens
+
+RNG = np.random.default_rng(0)
+TILE_PX = 48
+
+
+def matched(options: Exhaustive, scene: Scene) -> Candidates:
+    return options.match(scene, np.random.default_rng(0))
+
+
+def turned(points: FloatArray, turns: int) -> FloatArray:
+    """Points (..., 2) after counter-clockwise quarter turns: +x goes to +y."""
+    for _ in range(turns % 4):
+        points = np.stack([-points[..., 1], points[..., 0]], axis=-1)
+    return points
+
+
+def looked_up(source: FloatArray, size_mm: float, points: FloatArray) -> FloatArray:
+    """Bilinear values of an (H, W) source, which covers ``size_mm``, at points (..., 2) mm, +y up."""
+    per_mm = len(source) / size_mm
+    column, row = points[..., 0] * per_mm + len(source) / 2 - 0.5, -points[..., 1] * per_mm + len(source) / 2 - 0.5
+    return map_coordinates(source, [row, column], order=1, mode="nearest")
+
+
+def seen(source: FloatArray, lens: Lens, assignment: Assignment, pixels: int, turns: int = 0) -> FloatArray:
+    """(pixels, pixels): what shows if facets realise their transformations exactly, the lens turned so many times."""
+    c = ((np.arange(pixels) + 0.5) / pixels - 0.5) * lens.size_mm
+    q = turned(np.stack(np.meshgrid(c, -c), axis=-1), -turns)
+    j = np.floor((q[..., 0] + lens.size_mm / 2) / lens.pitch_mm).astype(int)
+    i = np.floor((lens.size_mm / 2 - q[..., 1]) / lens.pitch_mm).astype(int)
+    centre = lens.facet_centres_mm()[i, j]
+    p, (xx, xy, yy) = q - centre, np.moveaxis(assignment.maps[i, j], -1, 0)
+    spread = np.stack([xx * p[..., 0] + xy * p[..., 1], xy * p[..., 0] + yy * p[..., 1]], axis=-1)
+    return looked_up(source, lens.source_size_mm, turned(centre + assignment.offsets_mm[i, j] + spread, turns))
+
+
+# rasters
+
+
+@pytest.mark.parametrize(("scale", "px", "step"), [(1.2, 0.39, 0.13), (0.6, 0.39, 0.3), (0.25, 0.39, 0.4), (0.1, 0.39, 0.13)])
+def test_a_raster_axis_has_tile_pixels_and_offsets_on_whole_samples(scale: float, px: float, step: float) -> None:
+    axis = rasters.axis(scale, px, step, 30.0)
+    places = axis.positions_mm()
+    assert axis.skip * axis.spacing_mm == pytest.approx(scale * px)
+    assert axis.stride * axis.spacing_mm <= step * (1 + 1e-9)
+    assert axis.stride * axis.spacing_mm > step / 2
+    np.testing.assert_allclose(places, -places[::-1], atol=1e-12)
+    assert 15.0 - places[-1] >= scale * px / 2 - 1e-9
+    assert 15.0 - places[-1] < scale * px / 2 + axis.spacing_mm
+
+
+def area_mean(image: FloatArray, size: float, x: float, y: float, width: float, tall: float) -> FloatArray:
+    """Mean of (C, H, W) over a box, mm, y down, as far as the image reaches; brute force over all pixels."""
+    rows, columns = image.shape[1:]
+
+    def cover(count: int, at: float, wide: float) -> FloatArray:
+        edges = np.arange(count + 1) * size / count - size / 2
+        part = np.minimum(edges[1:], at + wide / 2) - np.maximum(edges[:-1], at - wide / 2)
+        return part.clip(0) / part.clip(0).sum()
+
+    return np.einsum("chw,h,w->c", image, cover(rows, y, tall), cover(columns, x, width))
+
+
+@pytest.mark.parametrize("scales", [(0.9, 0.9), (0.1, 0.7), (0.35, 0.1)])
+def test_raster_samples_are_box_averages_of_the_source_at_their_places(scales: tuple[float, float]) -> None:
+    size, px, grain, source = 12.0, 0.375, 0.21, np.random.default_rng(1).random((2, 67, 67)).astype(np.float32)
+    x, y = (rasters.axis(s, px, 0.13, size) for s in scales)
+    wide, tall = (s * px + grain for s in scales)
+    columns = rasters.average_columns(source, *rasters.footprints(x, wide, size, 67))
+    samples, means = rasters.build(columns, *rasters.footprints(y, tall, size, 67), x, y)
+    span_x, span_y = (rasters.BLOCK - 1) * x.skip, (rasters.BLOCK - 1) * y.skip
+    corners = [(0, 0), (y.count - 1, x.count - 1)]
+    for r, c in corners + [(RNG.integers(y.count), RNG.integers(x.count)) for _ in range(40)]:
+        mean = area_mean(source, size, x.positions_mm()[c], y.positions_mm()[r], wide, tall)
+        found = samples[:, r % y.stride, c % x.stride, r // y.stride, c // x.stride]
+        np.testing.assert_allclose(found, to_display(mean), atol=1e-3)
+    for _ in range(10):
+        r, c = RNG.integers(y.count - span_y), RNG.integers(x.count - span_x)
+        rs, cs = np.meshgrid(r + np.arange(rasters.BLOCK) * y.skip, c + np.arange(rasters.BLOCK) * x.skip)
+        block = samples[:, rs % y.stride, cs % x.stride, rs // y.stride, cs // x.stride].mean(axis=(1, 2))
+        np.testing.assert_allclose(means[:, r % y.stride, c % x.stride, r // y.stride, c // x.stride], block, atol=1e-6)
+
+
+# the search
+
+
+def flat_enough(lens: Lens, eye: Eye, centre: FloatArray, offset: FloatArray, xx: float, yy: float) -> bool:
+    """Can a facet's centre and corners show their source points with slopes below the limit? (+y up)"""
+    half = lens.pitch_mm / 2
+    for p in np.array([(0, 0), *itertools.product((-half, half), repeat=2)], float):
+        s = centre + offset + (xx * p[0], yy * p[1])
+        normal = facet_normal(*eye, *(centre + p), lens.thickness_mm, *s, lens.gap_mm, lens.ior)
+        if normal[2] < math.cos(math.radians(lens.max_slope_deg)):
+            return False
+    return True
+
+
+def brute_force(options: Exhaustive, scene: Scene, samples_of: Callable[[float, float], tuple]) -> dict:
+    """Best error, offset and map (y down) per facet and bucket, by comparing every tile with every patch."""
+    lens, best = scene.lens, {}
+    tiles = stack_channels(scene).tiles(lens.facets, options.pixels)
+    size, step = lens.source_size_mm, options.step.mm(lens.source_size_mm)
+    window, buckets = options.window.mm(size) / 2, math.ceil(math.sqrt(options.candidates))
+    m2 = (2 * window / step) ** 2
+    signs = [(1, 1), (-1, 1), (1, -1), (-1, -1)] if options.maps == "symmetric" else [(1, 1)]
+    for sx, sy in itertools.product(options.scales, repeat=2):
+        if options.maps == "scale" and sx != sy:
+            continue
+        plain, x, y = samples_of(sx, sy)
+        for i, j in np.ndindex(lens.facets, lens.facets):
+            cx, cy = lens.facet_centres_mm()[i, j] * (1, -1)
+            reach_x, reach_y = (options.pixels - 1) * x.skip, (options.pixels - 1) * y.skip
+            # the centre of the patch that starts at a sample
+            at_x, at_y = (a.positions_mm()[: a.count - r] + r * a.spacing_mm / 2 for a, r in ((x, reach_x), (y, reach_y)))
+            fits_x, fits_y = (np.flatnonzero(np.abs(a - c) <= window) for a, c in ((at_x, cx), (at_y, cy)))
+            for (fx, fy), r, c in itertools.product(signs, fits_y[:: y.stride], fits_x[:: x.stride]):
+                patch = plain[:, r : r + reach_y + 1 : y.skip, c : c + reach_x + 1 : x.skip][:, ::fy, ::fx]
+                rx, ry = at_x[c] - cx, at_y[r] - cy
+                far = 1 / (m2 - (rx**2 + ry**2) / step**2) - 1 / m2
+                error = float(((patch.astype(np.float64) - tiles[i, j]) ** 2).mean()) + far
+                bucket = tuple(min(int((v + window) / (2 * window) * buckets), buckets - 1) for v in (ry, rx))
+                key = (i * lens.facets + j, bucket[0] * buckets + bucket[1])
+                if error < best.get(key, (math.inf,))[0] and flat_enough(
+                    lens, ABOVE, np.array([cx, -cy]), np.array([rx, -ry]), fx * sx, fy * sy
+                ):
+                    best[key] = error, (rx, ry), (fx * sx, 0.0, fy * sy)
+    return best
+
+
+@pytest.mark.parametrize("maps", ["symmetric", "scale"])
+@pytest.mark.parametrize("limit", [60.0, 10.0])
+def test_the_search_finds_what_brute_force_finds(maps: str, limit: float) -> None:
+    lens = small_lens(2, 3.0, source=12.0, max_slope_deg=limit)
+    scene = Scene(lens, (grey_view(blotches(120, 3.0), blotches(64, 8.0, seed=5)),))
+    options = Exhaustive(
+        window="4mm", step="0.4mm", scales=(0.15, 0.5, 0.8), pixels=8, candidates=9, maps=maps, polish=0
+    )
+    channels = stack_channels(scene)
+    tiles = channels.tiles(2, 8).reshape(4, 1, 8, 8)
+    pool = Pool(4, 3)
+    split: dict[tuple[float, float], tuple] = {}
+
+    def remember(*arguments: object) -> tuple:
+        built = build(*arguments)
+        x, y = arguments[3:5]
+        rows, columns = np.arange(y.count), np.arange(x.count)
+        plain = built[0][:, rows[:, None] % y.stride, columns % x.stride, rows[:, None] // y.stride, columns // x.stride]
+        split[len(split)] = plain, x, y
+        return built
+
+    build = rasters.build
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rasters, "build", remember)
+        search_all(options, scene, channels, tiles, lens.facet_centres_mm().reshape(-1, 2) * (1, -1), 2.0, 0.4, pool, silent)
+    pairs = itertools.product(options.scales, repeat=2) if maps == "symmetric" else [(s, s) for s in options.scales]
+    by_scales = dict(zip(pairs, split.values(), strict=True))
+    expected = brute_force(options, scene, lambda sx, sy: by_scales[sx, sy])
+    assert {(f, k) for f, k in np.argwhere(np.isfinite(pool.errors)).tolist()} == set(expected)
+    assert len(expected) > 12
+    for (f, k), (error, offset, map_) in expected.items():
+        assert pool.errors[f, k] == pytest.approx(error, abs=1e-6)
+        np.testing.assert_allclose(pool.offsets[f, k], offset, atol=1e-9)
+        np.testing.assert_array_equal(pool.maps[f, k], map_)
+
+
+# known patches
+
+MAPS = np.array([(0.6, 0, 0.6), (-0.6, 0, 0.6), (0.4, 0, -0.85), (-0.85, 0, -0.4), (0.85, 0, 0.6), (0.6, 0, -0.4)])
+
+
+def cut_out(maps: FloatArray, seed: int = 0, eye: Eye = ABOVE, turns: tuple[int, ...] = (0,), facets: int = 3) -> tuple:
+    """A scene whose tiles are patches of its source, and the transformations that lead back to them."""
+    lens, rng = small_lens(facets, 3.0, source=30.0, microfacets=22), np.random.default_rng(seed)
+    chosen = assigned(rng.uniform(-2.4, 2.4, (facets, facets, 2)), maps[rng.integers(len(maps), size=(facets, facets))])
+    sources = [blotches(450, 5.0, seed + 10 * k) for k in range(len(turns))]
+    views = tuple(
+        grey_view(s, seen(s, lens, chosen, facets * TILE_PX, k), eye, 90.0 * k) for k, s in zip(turns, sources, strict=True)
+    )
+    return Scene(lens, views), chosen
+
+
+@pytest.mark.parametrize("eye", [ABOVE, ASIDE], ids=["eye above", "eye aside"])
+def test_a_patch_cut_out_of_the_source_is_found_where_it_was(eye: Eye) -> None:
+    scene, cut = cut_out(MAPS, eye=eye)
+    found = matched(Exhaustive(window="6mm", scales=(0.4, 0.6, 0.85), candidates=16), scene)
+    np.testing.assert_allclose(found.offsets_mm[:, :, 0], cut.offsets_mm, atol=0.01)
+    np.testing.assert_allclose(found.maps[:, :, 0], cut.maps, atol=0.01)
+    assert (found.errors[:, :, 0] < 2e-3).all()
+
+
+def test_a_patch_of_another_symmetric_map_is_found_by_polishing() -> None:
+    sheared = np.array([(0.7, 0.12, 0.5), (-0.5, 0.1, 0.65), (0.55, -0.1, 0.75), (0.72, 0.08, -0.5)])
+    scene, cut = cut_out(sheared, seed=1)
+    found = matched(Exhaustive(window="6mm", scales=(0.45, 0.6, 0.8), candidates=16), scene)
+    close = np.abs(found.maps - cut.maps[:, :, None]).max(axis=-1) < 0.015
+    near = np.abs(found.offsets_mm - cut.offsets_mm[:, :, None]).max(axis=-1) < 0.01
+    assert (close & near).any(axis=-1).mean() > 0.8
+    assert (close & near)[..., 0].mean() > 0.8
+
+
+def test_without_polishing_patches_lie_on_the_lattice_of_offsets() -> None:
+    scene, cut = cut_out(MAPS)
+    found = matched(Exhaustive(window="6mm", scales=(0.4, 0.6, 0.85), candidates=16, polish=0), scene)
+    np.testing.assert_allclose(found.offsets_mm[:, :, 0], cut.offsets_mm, atol=0.5 * 0.13 + 0.02)
+    np.testing.assert_allclose(found.maps[:, :, 0], cut.maps, atol=1e-6)
+
+
+def test_one_patch_serves_all_quarter_turns() -> None:
+    """Every view has its own source; only one offset and map fits all four."""
+    scene, cut = cut_out(MAPS, turns=(0, 1, 2, 3))
+    found = matched(Exhaustive(window="6mm", scales=(0.4, 0.6, 0.85), candidates=16), scene)
+    np.testing.assert_allclose(found.offsets_mm[:, :, 0], cut.offsets_mm, atol=0.01)
+    np.testing.assert_allclose(found.maps[:, :, 0], cut.maps, atol=0.01)
+
+
+def test_polishing_never_makes_the_best_candidate_worse() -> None:
+    lens = small_lens(4, 3.0, source=24.0)
+    scene = Scene(lens, (grey_view(blotches(360, 6.0), letter_f(128)),))
+    plain, polished = (matched(Exhaustive(window="6mm", polish=p), scene).errors[..., 0] for p in (0, 16))
+    # the distance term is not polished; it is at most 1 / m^2
+    assert (polished <= plain + (0.13 / 6) ** 2).all()
+    assert (polished < 0.99 * plain).mean() > 0.5
+
+
+def test_the_papers_maps_stay_isotropic() -> None:
+    scene, _ = cut_out(MAPS)
+    maps = matched(Exhaustive(window="6mm", maps="scale", candidates=9), scene).maps
+    np.testing.assert_array_equal(maps[..., 0], maps[..., 2])
+    np.testing.assert_array_equal(maps[..., 1], 0)
+    assert (maps[..., 0] > 0).all()
+
+
+def test_an_error_is_the_mean_squared_difference_of_display_values() -> None:
+    lens = small_lens(3, 3.0, source=24.0, microfacets=100)
+    scene = Scene(lens, (grey_view(blotches(360, 8.0), blotches(3 * TILE_PX, 16.0, seed=4)),))
+    found = matched(Exhaustive(window="6mm", scales=(0.4, 0.6, 0.85)), scene)
+    best = Assignment.pick(found, np.zeros((3, 3), np.int64))
+    shows = to_display(predict(scene, best, 3 * TILE_PX, 3)[0][..., 0])
+    difference = (shows - to_display(scene.views[0].target[..., 0])) ** 2
+    errors = difference.reshape(3, TILE_PX, 3, TILE_PX).mean(axis=(1, 3))
+    np.testing.assert_allclose(found.errors[..., 0], errors, rtol=0.1, atol=4e-4)
+
+
+# candidates
+
+
+def busy_candidates(**options: object) -> tuple[Lens, Candidates]:
+    lens = small_lens(4, 3.0, source=24.0, max_slope_deg=25.0, relief_mm=10.0)
+    scene = Scene(lens, (grey_view(blotches(240, 4.0), letter_f(64)),))
+    return lens, matched(Exhaustive(**{"window": "14mm", "candidates": 25} | options), scene)
+
+
+def test_candidates_are_sorted_and_empty_places_come_last() -> None:
+    _, found = busy_candidates()
+    assert found.errors.shape == (4, 4, 25)
+    assert np.isinf(found.errors).any()
+    assert np.isfinite(found.errors[..., 0]).all()
+    assert (np.diff(np.where(np.isinf(found.errors), 9.0, found.errors), axis=-1) >= 0).all()
+
+
+def test_candidates_lie_in_the_window_and_in_the_source() -> None:
+    lens, found = busy_candidates()
+    real = np.isfinite(found.errors)
+    assert np.abs(found.offsets_mm[real]).max() <= 7.0
+    spread = np.abs(found.maps[..., [0, 2]]) + np.abs(found.maps[..., [1]])
+    middles = lens.facet_centres_mm()[:, :, None] + found.offsets_mm
+    reach = np.abs(middles) + spread * lens.pitch_mm / 2
+    assert reach[real].max() <= lens.source_size_mm / 2 + 1e-4
+
+
+def test_patches_that_take_too_steep_facets_are_left_out() -> None:
+    lens, found = busy_candidates()
+    steepest = 0.0
+    for i, j, k in np.argwhere(np.isfinite(found.errors)):
+        centre, (xx, xy, yy) = lens.facet_centres_mm()[i, j], found.maps[i, j, k]
+        for p in itertools.product((-1.5, 1.5), repeat=2):
+            s = centre + found.offsets_mm[i, j, k] + (xx * p[0] + xy * p[1], xy * p[0] + yy * p[1])
+            normal = facet_normal(*ABOVE, *(centre + p), THICK, *s, 0.0, IOR)
+            steepest = max(steepest, math.degrees(math.acos(normal[2])))
+    assert 20.0 < steepest < 25.001
+
+
+def test_candidates_of_a_plain_tile_are_spread_over_the_window() -> None:
+    """On a plain source all offsets tie; the candidates must not be one clump."""
+    lens = small_lens(2, 3.0, source=24.0)
+    scene = Scene(lens, (grey_view(np.full((240, 240), 0.5), np.full((64, 64), 0.5)),))
+    offsets = matched(Exhaustive(window="6mm", candidates=36), scene).offsets_mm
+    buckets = np.floor((offsets + 3) / 1.0).astype(int).clip(0, 5)
+    for facet in buckets.reshape(4, 36, 2):
+        assert len({tuple(b) for b in facet.tolist()}) == 36
+
+
+def test_a_facet_that_reaches_no_patch_is_named() -> None:
+    lens = small_lens(2, 3.0, max_slope_deg=1.0)
+    scene = Scene(lens, (grey_view(blotches(120, 4.0), letter_f(64)),))
+    with pytest.raises(InputError, match=r"facet \(row 0, column 0\) reaches no patch.*larger.*max_slope"):
+        matched(Exhaustive(scales=(0.2,), window="1mm"), scene)
+
+
+def test_views_of_different_eyes_need_another_matcher() -> None:
+    lens, picture = small_lens(2), np.ones((16, 16))
+    for other in (grey_view(picture, picture, ASIDE), grey_view(picture, picture, ASIDE, 90.0)):
+        with pytest.raises(InputError, match="share one eye in the lens frame"):
+            matched(Exhaustive(), Scene(lens, (grey_view(picture, picture, ABOVE), other)))
+
+
+# channels, blur, prediction
+
+
+def test_a_quarter_turn_moves_plus_x_to_plus_y() -> None:
+    """What the turned lens shows at the world's +y is seen through its own +x side."""
+    dot, plain = np.zeros((32, 32)), np.zeros((32, 32))
+    dot[0:2, 15:17] = 1.0
+    channels = stack_channels(Scene(small_lens(2), (grey_view(dot, dot), grey_view(dot, dot, ABOVE, 90.0))))
+    turned_dot = plain.copy()
+    turned_dot[15:17, 30:32] = 1.0
+    for stacked in (channels.source, channels.target):
+        np.testing.assert_array_equal(stacked, [dot, turned_dot])
+
+
+def test_colours_and_views_are_channels_in_this_order() -> None:
+    picture = ramps(16)
+    views = tuple(View("v", picture, picture * g, np.array(ABOVE)) for g in (1.0, 0.5))
+    target = stack_channels(Scene(small_lens(2), views)).target
+    np.testing.assert_allclose(target, [g * picture[..., c] for g in (1.0, 0.5) for c in range(3)])
+
+
+def test_tiles_are_means_of_linear_light_in_display_values() -> None:
+    lens, target = small_lens(2), np.random.default_rng(0).random((48, 48))
+    tiles = stack_channels(Scene(lens, (grey_view(target, target),))).tiles(2, 8)
+    mean = target[24:27, 0:3].mean()
+    assert tiles.shape == (2, 2, 1, 8, 8)
+    assert tiles[1, 0, 0, 0, 0] == pytest.approx(to_display(mean), abs=1e-6)
+
+
+@pytest.mark.parametrize("width_px", [0.5, 1.0, 1.7, 2.0, 2.5, 3.0, 4.0, 5.3, 8.0])
+def test_blurring_keeps_every_point_where_it_is(width_px: float) -> None:
+    px = 0.05
+    source = np.full((1, 41, 41), 0.2, np.float32)
+    source[0, 17, 25] = 1.0
+    for level in blur_levels(source, px, 1.3 * px, (0.0, width_px * px)):
+        light = to_linear(level[0].astype(float)) - 0.2
+        rows, columns = np.indices(light.shape)
+        assert light.sum() == pytest.approx(0.8, rel=1e-3)
+        assert (light * rows).sum() / light.sum() == pytest.approx(17.0, abs=0.01)
+        assert (light * columns).sum() / light.sum() == pytest.approx(25.0, abs=0.01)
+    assert light.max() * width_px**2 < 0.9
+
+
+def test_blurring_a_step_makes_a_ramp_as_wide_as_the_box() -> None:
+    px, source = 0.1, np.zeros((1, 8, 40), np.float32)
+    source[..., 20:] = 1.0
+    light = to_linear(blur_levels(source, px, 0.0, (0.55,))[0, 0, 4].astype(float))
+    edges = np.arange(41) - 20.0
+    ideal = np.diff(np.where(np.abs(edges) < 2.75, (edges + 2.75) ** 2 / 11, np.maximum(edges, 0)))
+    # pixels are boxes themselves: the blurred step runs over 5.5 pixels, give or take half a one
+    np.testing.assert_allclose(light, ideal, atol=0.06)
+    np.testing.assert_allclose(light + light[::-1], 1.0, atol=1e-5)
+
+
+def test_identity_shows_the_source_itself() -> None:
+    lens = small_lens(4, 3.0, source=12.0)
+    source = blotches(96, 2.0)
+    scene = Scene(lens, tuple(grey_view(source, source, ABOVE, 90.0 * k) for k in range(4)))
+    for picture in predict(scene, assigned(np.zeros((4, 4, 2)), (1, 0, 1)), 96, 1):
+        np.testing.assert_allclose(picture[..., 0], source, atol=2e-3)
+
+
+@pytest.mark.parametrize("turns", range(4))
+def test_prediction_follows_offsets_and_maps(turns: int) -> None:
+    lens, rng = small_lens(4, 3.0, source=24.0), np.random.default_rng(turns)
+    chosen = assigned(rng.uniform(-2, 2, (4, 4, 2)), rng.uniform(-1, 1, (4, 4, 3)))
+    source = blotches(200, 3.0)
+    scene = Scene(lens, (grey_view(source, source, ABOVE, 90.0 * turns),))
+    picture = predict(scene, chosen, 64, 1)[0][..., 0]
+    np.testing.assert_allclose(picture, seen(source, lens, chosen, 64, turns), atol=2e-5)
