@@ -118,7 +118,8 @@ class Scene:
     @property
     def reference_eye_mm(self) -> FloatArray:
         """(3,) float64, lens frame: the eye along whose rays ``cells: eye`` facets are cut (mean of all eyes)."""
-        return np.mean([v.in_lens_frame().eye_mm for v in self.views], axis=0)
+        eye: FloatArray = np.mean([v.in_lens_frame().eye_mm for v in self.views], axis=0)
+        return eye
 
 
 @dataclass(frozen=True)
@@ -215,4 +216,5 @@ class Transport:
     def see(self, source: FloatArray) -> FloatArray:
         """(rows, columns, C) float32, linear light: the picture of a source (source_rows, source_columns, C)."""
         flat = self.matrix @ source.reshape(self.source_shape[0] * self.source_shape[1], -1)
-        return flat.reshape(*self.shape, -1).astype(np.float32)
+        seen: FloatArray = flat.reshape(*self.shape, -1).astype(np.float32)
+        return seen

@@ -1,4 +1,4 @@
-"""The hooks a plugin can implement, in the order they are called. Hooks contribute or observe; they never rewrite data."""
+"""The hooks a plugin can implement, in calling order. Hooks contribute or observe; they never rewrite data."""
 
 from __future__ import annotations
 

@@ -38,4 +38,5 @@ def facet_errors(scene: Scene, heights: HeightField, view: View) -> FloatArray:
     target = resize(local.target, seen.shape[:2])
     difference = to_display(np.clip(seen * score(seen, target).gain, 0, 1)) - to_display(target)
     tiles = (difference**2).mean(axis=-1).reshape(n, RESOLUTION, n, RESOLUTION)
-    return tiles.mean(axis=(1, 3))
+    errors: FloatArray = tiles.mean(axis=(1, 3))
+    return errors

@@ -152,8 +152,8 @@ def _make(plan: Plan, folder: Path, worker: _Worker) -> RunData:
 
 def _design(plan: Plan, scene: Scene, worker: _Worker) -> tuple[Candidates, Assignment, HeightField, Solid]:
     """From a scene to a closed mesh that no finisher has seen yet."""
-    from magiclens.rematch import rematch
     from magiclens.meshing.solid import solid_from_heights
+    from magiclens.rematch import rematch
 
     rng = _generators(plan.spec.seed)
     matcher = plan.matcher.stage

@@ -95,7 +95,7 @@ class Renderer(Stage):
 
     @abstractmethod
     def render(self, scene: Scene, solid: Solid, progress: Progress = silent) -> list[FloatArray]:
-        """One picture per view, (R, R, C) float32, linear light, world frame: the lens's square on the reference plane."""
+        """One picture per view, (R, R, C) float32, linear light, world frame: the square on the reference plane."""
 
 
 KINDS: dict[str, type[Stage]] = {

@@ -12,18 +12,21 @@ from scipy.optimize import brentq
 
 from magiclens.artifacts import Assignment, FloatArray, HeightField, Lens, Scene, Solid
 from magiclens.errors import StageError
+from magiclens.facets import EDGE_POINTS, edge_models
 from magiclens.integration.least_squares import LeastSquares
 from magiclens.integration.orientation import edge_rises
 from magiclens.integration.poisson import Poisson
 from magiclens.integration.two_level import lenslets, place
 from magiclens.meshing.solid import solid_from_heights
-from magiclens.optics.lenslets import EDGE_POINTS, edge_models
 from magiclens.optics.walls import DOWN, LEFT, RIGHT, UP
 from magiclens.stages import Integrator
-from scenes import ABOVE, ASIDE, IOR, THICK, Eye, assigned, blank_scene, plane_points_mm, small_lens
+from scenes import ABOVE, ASIDE, IOR, THICK, Eye, assigned, blank_scene, small_lens
 
-SLOPES = {"plane": (0.12, -0.07, 0.0, 0.0, 0.0), "paraboloid": (0.0, 0.0, 0.008, 0.0, 0.008),
-          "saddle": (0.02, 0.03, 0.006, 0.003, -0.005)}
+SLOPES = {
+    "plane": (0.12, -0.07, 0.0, 0.0, 0.0),
+    "paraboloid": (0.0, 0.0, 0.008, 0.0, 0.008),
+    "saddle": (0.02, 0.03, 0.006, 0.003, -0.005),
+}
 surfaces = pytest.mark.parametrize("name", list(SLOPES))
 integrators = pytest.mark.parametrize(
     "integrator",
@@ -204,7 +207,9 @@ def test_a_tighter_relief_lowers_the_lens() -> None:
 def test_placing_for_light_loses_less_light_than_placing_for_small_steps() -> None:
     lens = small_lens(6, 3.0, microfacets=8)
     scene, assignment = blank_scene(lens), wild(6, 0)
-    lost = {p: lost_light(scene, assignment, Poisson(placement=p).integrate(scene, assignment)) for p in ("light", "steps")}
+    lost = {
+        p: lost_light(scene, assignment, Poisson(placement=p).integrate(scene, assignment)) for p in ("light", "steps")
+    }
     assert lost["light"] < 0.8 * lost["steps"]
 
 
@@ -262,7 +267,7 @@ def microfacet_angles(solid: Solid, lens: Lens) -> FloatArray:
     a, b, c = (solid.vertices[solid.faces[: 2 * cells**2, corner]] for corner in range(3))
     normals = np.cross(b - a, c - a)
     angles = np.degrees(np.arccos(normals[:, 2] / np.linalg.norm(normals, axis=1))).reshape(cells, cells, 2)
-    within = (np.arange(cells) % k != 0)
+    within = np.arange(cells) % k != 0
     return angles[np.ix_(within, within)]
 
 
@@ -299,8 +304,14 @@ def test_reported_steps_are_those_between_facing_edges() -> None:
     lens = small_lens(2, 3.0, microfacets=6)
     heights = Poisson().integrate(blank_scene(lens), wild(2, 1))
     h = heights.heights_mm
-    steps = np.abs([h[0, 0, :, -1] - h[0, 1, :, 0], h[1, 0, :, -1] - h[1, 1, :, 0],
-                    h[0, 0, -1] - h[1, 0, 0], h[0, 1, -1] - h[1, 1, 0]])
+    steps = np.abs(
+        [
+            h[0, 0, :, -1] - h[0, 1, :, 0],
+            h[1, 0, :, -1] - h[1, 1, :, 0],
+            h[0, 0, -1] - h[1, 0, 0],
+            h[0, 1, -1] - h[1, 1, 0],
+        ]
+    )
     assert heights.metrics["step_max_mm"] == pytest.approx(steps.max())
     assert heights.metrics["step_mean_mm"] == pytest.approx(steps.mean())
 

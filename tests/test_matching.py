@@ -60,7 +60,9 @@ def seen(source: FloatArray, lens: Lens, assignment: Assignment, pixels: int, tu
 # rasters
 
 
-@pytest.mark.parametrize(("scale", "px", "step"), [(1.2, 0.39, 0.13), (0.6, 0.39, 0.3), (0.25, 0.39, 0.4), (0.1, 0.39, 0.13)])
+@pytest.mark.parametrize(
+    ("scale", "px", "step"), [(1.2, 0.39, 0.13), (0.6, 0.39, 0.3), (0.25, 0.39, 0.4), (0.1, 0.39, 0.13)]
+)
 def test_a_raster_axis_has_tile_pixels_and_offsets_on_whole_samples(scale: float, px: float, step: float) -> None:
     axis = rasters.axis(scale, px, step, 30.0)
     places = axis.positions_mm()
@@ -134,7 +136,9 @@ def brute_force(options: Exhaustive, scene: Scene, samples_of: Callable[[float, 
             cx, cy = lens.facet_centres_mm()[i, j] * (1, -1)
             reach_x, reach_y = (options.pixels - 1) * x.skip, (options.pixels - 1) * y.skip
             # the centre of the patch that starts at a sample
-            at_x, at_y = (a.positions_mm()[: a.count - r] + r * a.spacing_mm / 2 for a, r in ((x, reach_x), (y, reach_y)))
+            at_x, at_y = (
+                a.positions_mm()[: a.count - r] + r * a.spacing_mm / 2 for a, r in ((x, reach_x), (y, reach_y))
+            )
             fits_x, fits_y = (np.flatnonzero(np.abs(a - c) <= window) for a, c in ((at_x, cx), (at_y, cy)))
             for (fx, fy), r, c in itertools.product(signs, fits_y[:: y.stride], fits_x[:: x.stride]):
                 patch = plain[:, r : r + reach_y + 1 : y.skip, c : c + reach_x + 1 : x.skip][:, ::fy, ::fx]
@@ -167,14 +171,18 @@ def test_the_search_finds_what_brute_force_finds(maps: str, limit: float) -> Non
         built = build(*arguments)
         x, y = arguments[3:5]
         rows, columns = np.arange(y.count), np.arange(x.count)
-        plain = built[0][:, rows[:, None] % y.stride, columns % x.stride, rows[:, None] // y.stride, columns // x.stride]
+        plain = built[0][
+            :, rows[:, None] % y.stride, columns % x.stride, rows[:, None] // y.stride, columns // x.stride
+        ]
         split[len(split)] = plain, x, y
         return built
 
     build = rasters.build
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(rasters, "build", remember)
-        search_all(options, scene, channels, tiles, lens.facet_centres_mm().reshape(-1, 2) * (1, -1), 2.0, 0.4, pool, silent)
+        search_all(
+            options, scene, channels, tiles, lens.facet_centres_mm().reshape(-1, 2) * (1, -1), 2.0, 0.4, pool, silent
+        )
     pairs = itertools.product(options.scales, repeat=2) if maps == "symmetric" else [(s, s) for s in options.scales]
     by_scales = dict(zip(pairs, split.values(), strict=True))
     expected = brute_force(options, scene, lambda sx, sy: by_scales[sx, sy])
@@ -197,7 +205,8 @@ def cut_out(maps: FloatArray, seed: int = 0, eye: Eye = ABOVE, turns: tuple[int,
     chosen = assigned(rng.uniform(-2.4, 2.4, (facets, facets, 2)), maps[rng.integers(len(maps), size=(facets, facets))])
     sources = [blotches(450, 5.0, seed + 10 * k) for k in range(len(turns))]
     views = tuple(
-        grey_view(s, seen(s, lens, chosen, facets * TILE_PX, k), eye, 90.0 * k) for k, s in zip(turns, sources, strict=True)
+        grey_view(s, seen(s, lens, chosen, facets * TILE_PX, k), eye, 90.0 * k)
+        for k, s in zip(turns, sources, strict=True)
     )
     return Scene(lens, views), chosen
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq, minimize_scalar
 
 from magiclens.artifacts import FloatArray, Scene
-from magiclens.optics.lenslets import EDGE_POINTS, central_slopes, edge_models
+from magiclens.facets import EDGE_POINTS, central_slopes, edge_models
 from magiclens.optics.refraction import facet_normal, refract, sine_in_slab, transmittance
 from magiclens.optics.walls import DOWN, LEFT, RIGHT, UP, cost_of_lost_light, settle, sweep, total_energy
 from scenes import ABOVE, DISTANCE, IOR, THICK, blank_scene, grey_view, small_lens
@@ -166,9 +166,9 @@ def test_a_lenslets_edges_are_those_of_a_quadratic() -> None:
     xx, xy, yy = -0.6, 0.5, 0.3
     offsets, maps = np.zeros((1, 1, 1, 2)), np.reshape([xx, xy, yy], (1, 1, 1, 3))
     profiles, _ = edge_models(scene, offsets, maps)
-    huu, huv, hvv = ((IOR * m / THICK - toward_eye / DISTANCE) / (IOR - 1) for m, toward_eye in (
-        (xx - 1, 1), (xy, 0), (yy - 1, 1)
-    ))
+    huu, huv, hvv = (
+        (IOR * m / THICK - toward_eye / DISTANCE) / (IOR - 1) for m, toward_eye in ((xx - 1, 1), (xy, 0), (yy - 1, 1))
+    )
     along = ((np.arange(EDGE_POINTS) + 0.5) / EDGE_POINTS - 0.5) * pitch
     half = np.full(EDGE_POINTS, pitch / 2)
     for edge, (u, v) in {RIGHT: (half, along), UP: (along, half), LEFT: (-half, along), DOWN: (along, -half)}.items():

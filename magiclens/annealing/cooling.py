@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from magiclens.artifacts import Assignment, Candidates, FloatArray, IntArray, Scene
-from magiclens.optics.lenslets import edge_models
-from magiclens.optics.walls import cost_of_lost_light, sweep, total_energy
+from magiclens.facets import cost_of_lost_light, edge_models
+from magiclens.optics.walls import sweep, total_energy
 from magiclens.stages import Progress
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ class HeatBath(Annealer):
     type: ClassVar[str] = "heat-bath"
 
     sweeps: int = Field(60, ge=1, description="sweeps over all facets while cooling")
-    temperature: float = Field(0.003, ge=0, description="at the start, mean squared display value per facet; cooled to 0")
+    temperature: float = Field(0.003, ge=0, description="at the start, in mean squared display values")
     loss_weight: float = Field(1.0, ge=0, description="weight of light lost at walls; 1 is what it costs the picture")
     step_weight: float = Field(0.002, ge=0, description="cost of a squared step per facet edge, per mm^2")
     screening: float = Field(1e-5, ge=0, description="cost of a facet's squared height, per mm^2")

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from magiclens.artifacts import Assignment, Candidates, FloatArray, Scene
-from magiclens.optics.lenslets import central_slopes
+from magiclens.facets import central_slopes
 from magiclens.stages import Progress
 
 if TYPE_CHECKING:
@@ -46,11 +46,12 @@ def anneal(
 
 def unit_normals(slopes: FloatArray) -> FloatArray:
     """(..., 2): x and y of the unit normals of surfaces with slopes dz/dx and dz/dy (..., 2)."""
-    return -slopes / np.sqrt(1 + (slopes**2).sum(axis=-1, keepdims=True))
+    normals: FloatArray = -slopes / np.sqrt(1 + (slopes**2).sum(axis=-1, keepdims=True))
+    return normals
 
 
 @njit(cache=True)
-def facet_energy(normals, choice, i, j, k, weights):  # type: ignore[no-untyped-def]
+def facet_energy(normals, choice, i, j, k, weights):
     """Energy in 0..1 of facet (i, j) with candidate k, eq. (3); outside the lens, a facet's own normal goes on.
 
     The last term of E1 is printed d_y in the paper; by symmetry, and by its explanation, d_x is meant. Each term is
@@ -74,7 +75,7 @@ def facet_energy(normals, choice, i, j, k, weights):  # type: ignore[no-untyped-
 
 
 @njit(cache=True)
-def lens_energy(normals, choice, weights):  # type: ignore[no-untyped-def]
+def lens_energy(normals, choice, weights):
     """Sum of all facets' energies."""
     total = 0.0
     for i in range(len(choice)):
@@ -84,8 +85,8 @@ def lens_energy(normals, choice, weights):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _swap(normals, choice, usable, weights, threshold, places, dice):  # type: ignore[no-untyped-def]
-    """Try swaps in place: candidate ``dice`` of those usable at each of ``places``, if its energy rises less than allowed."""
+def _swap(normals, choice, usable, weights, threshold, places, dice):
+    """Try swaps in place at ``places``, each to one of the usable candidates, if its energy rises less than allowed."""
     for s in range(len(places)):
         i, j = places[s]
         k = int(dice[s] * usable[i, j])

@@ -22,7 +22,7 @@ STUCK_MM = 1e-2
 def iterate(
     scene: Scene, assignment: Assignment, solve: Solve, rounds: int, tolerance: float, progress: Progress
 ) -> HeightField:
-    """Alternate until no height moves by more than ``tolerance`` mm. Raises StageError naming the facet that will not rest.
+    """Alternate until no height moves by more than ``tolerance`` mm; StageError names the facet that will not rest.
 
     Normals depend on heights only weakly, so the iteration contracts; where a change grows all the same, smaller
     steps are taken.

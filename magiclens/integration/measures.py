@@ -8,7 +8,7 @@ from magiclens.artifacts import FloatArray, Lens
 
 
 def steps(heights: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """|height differences| across the walls between horizontal and vertical neighbours, (N, N-1, k) and (N-1, N, k), mm."""
+    """|steps| across the walls between horizontal and vertical neighbours, (N, N-1, k) and (N-1, N, k), mm."""
     right = np.abs(heights[:, :-1, :, -1] - heights[:, 1:, :, 0])
     below = np.abs(heights[:-1, :, -1, :] - heights[1:, :, 0, :])
     return right, below

@@ -17,7 +17,7 @@ from magiclens.optics.refraction import facet_normal
 
 
 @njit(cache=True)
-def _slope(u, v, h, cx, cy, offset, m, eye, cut_eye, vertical, depth, gap, ior, cos_limit):  # type: ignore[no-untyped-def]
+def _slope(u, v, h, cx, cy, offset, m, eye, cut_eye, vertical, depth, gap, ior, cos_limit):
     """dh/du and dh/dv at (u, v), and whether the slope limit was hit."""
     x, y, z = u, v, depth + h
     if not vertical:
@@ -41,7 +41,7 @@ def _slope(u, v, h, cx, cy, offset, m, eye, cut_eye, vertical, depth, gap, ior, 
 
 
 @njit(cache=True, parallel=True)
-def _edge_rises(heights, centres, pitch, wall, offsets, maps, eye, cut_eye, vertical, depth, gap, ior, cos_limit):  # type: ignore[no-untyped-def]
+def _edge_rises(heights, centres, pitch, wall, offsets, maps, eye, cut_eye, vertical, depth, gap, ior, cos_limit):
     facets, k = heights.shape[0], heights.shape[1]
     m = k - 1
     along_u = np.zeros((facets, k, m))
@@ -57,14 +57,16 @@ def _edge_rises(heights, centres, pitch, wall, offsets, maps, eye, cut_eye, vert
                 if b < m:
                     h = 0.5 * (heights[f, a, b] + heights[f, a, b + 1])
                     g, _, bad = _slope(
-                        u + 0.5 * d, v, h, cx, cy, offsets[f], maps[f], eye, cut_eye, vertical, depth, gap, ior, cos_limit
+                        u + 0.5 * d, v, h, cx, cy, offsets[f], maps[f],
+                        eye, cut_eye, vertical, depth, gap, ior, cos_limit,
                     )
                     along_u[f, a, b] = g * d
                     clamped[f] += bad
                 if a < m:
                     h = 0.5 * (heights[f, a, b] + heights[f, a + 1, b])
                     _, g, bad = _slope(
-                        u, v - 0.5 * d, h, cx, cy, offsets[f], maps[f], eye, cut_eye, vertical, depth, gap, ior, cos_limit
+                        u, v - 0.5 * d, h, cx, cy, offsets[f], maps[f],
+                        eye, cut_eye, vertical, depth, gap, ior, cos_limit,
                     )
                     along_v[f, a, b] = -g * d
                     clamped[f] += bad
@@ -80,10 +82,11 @@ def edge_rises(scene: Scene, assignment: Assignment, heights: FloatArray) -> tup
     """
     lens, n = scene.lens, scene.lens.facets
     eye = scene.reference_eye_mm
-    return _edge_rises(
+    rows, columns, clamped = _edge_rises(
         heights.reshape(n * n, *heights.shape[2:]),
         lens.facet_centres_mm().reshape(-1, 2), lens.pitch_mm, lens.wall_mm,
         assignment.offsets_mm.reshape(-1, 2).astype(np.float64), assignment.maps.reshape(-1, 3).astype(np.float64),
         eye, eye, lens.cells == "vertical", lens.thickness_mm, lens.gap_mm, lens.ior,
         math.cos(math.radians(lens.max_slope_deg)),
     )
+    return rows, columns, clamped

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from magiclens.artifacts import Assignment, FloatArray, Scene
-from magiclens.optics.lenslets import EDGE_POINTS, edge_models
+from magiclens.facets import EDGE_POINTS, edge_models
 from magiclens.optics.walls import DOWN, LEFT, RIGHT, UP, sweep
 
 SWEEPS = 60
@@ -21,7 +21,8 @@ def edge_profiles(shapes: FloatArray) -> FloatArray:
 
 
 def place_for_light(
-    scene: Scene, assignment: Assignment, shapes: FloatArray, levels: FloatArray, loss: float, even: float, relief: float
+    scene: Scene, assignment: Assignment, shapes: FloatArray, levels: FloatArray,
+    loss: float, even: float, relief: float,
 ) -> FloatArray:
     """(N, N) heights of facets that lose least light, by coordinate descent on a convex energy from ``levels``.
 

@@ -10,11 +10,11 @@ import numpy as np
 from scipy.fft import dct, dctn, idctn
 
 from magiclens.artifacts import Assignment, FloatArray, HeightField, Scene
+from magiclens.facets import cost_of_lost_light
 from magiclens.integration.continuity import limit_steps
 from magiclens.integration.iterate import check_relief, iterate
 from magiclens.integration.measures import measures
 from magiclens.integration.placement import place_for_light
-from magiclens.optics.walls import cost_of_lost_light
 from magiclens.stages import Progress
 
 if TYPE_CHECKING:
@@ -32,7 +32,8 @@ def integrate(options: Poisson, scene: Scene, assignment: Assignment, progress: 
     n, k = scene.lens.facets, scene.lens.microfacets + 1
     loss = cost_of_lost_light(scene) / scene.lens.pitch_mm
     room = MARGIN * scene.lens.relief_mm
-    levels, screening = np.zeros((n, n)), options.screening
+    levels: FloatArray = np.zeros((n, n))
+    screening = options.screening
 
     def solve(rows: FloatArray, columns: FloatArray, _: FloatArray, done: int) -> FloatArray:
         nonlocal levels, screening
@@ -62,7 +63,7 @@ def cosines(k: int) -> tuple[FloatArray, FloatArray]:
 
 
 def divergence(rows: FloatArray, columns: FloatArray) -> FloatArray:
-    """(..., k, k) right side of the normal equations of rises ``rows`` (..., k, k - 1) and ``columns`` (..., k - 1, k)."""
+    """(..., k, k) right side of the normal equations of rises (..., k, k - 1) and (..., k - 1, k)."""
     out = np.zeros((*rows.shape[:-1], rows.shape[-1] + 1))
     out[..., :, 1:] += rows
     out[..., :, :-1] -= rows

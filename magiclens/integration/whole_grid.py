@@ -48,10 +48,12 @@ def solve_weighted(right: FloatArray, weights: FloatArray, screening: float, sta
     def apply(z: FloatArray) -> FloatArray:
         z = z.reshape(g, g)
         rise = divergence(weights * np.diff(z, axis=1), weights[:, None] * np.diff(z, axis=0))
-        return (rise + screening * z).ravel()
+        out: FloatArray = (rise + screening * z).ravel()
+        return out
 
     def precondition(r: FloatArray) -> FloatArray:
-        return idctn(dctn(r.reshape(g, g), norm="ortho") / diagonal, norm="ortho").ravel()
+        out: FloatArray = idctn(dctn(r.reshape(g, g), norm="ortho") / diagonal, norm="ortho").ravel()
+        return out
 
     shape = (g * g, g * g)
     solution, failed = cg(
@@ -60,7 +62,8 @@ def solve_weighted(right: FloatArray, weights: FloatArray, screening: float, sta
     )
     if failed:
         raise StageError("conjugate gradients did not converge: use a smaller continuity")
-    return solution.reshape(g, g)
+    heights: FloatArray = solution.reshape(g, g)
+    return heights
 
 
 def _join(parts: FloatArray) -> FloatArray:

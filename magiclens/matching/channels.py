@@ -29,7 +29,7 @@ class Channels:
     @property
     def source_px_mm(self) -> float:
         """Size of a source pixel."""
-        return self.source_size_mm / self.source.shape[2]
+        return self.source_size_mm / int(self.source.shape[2])
 
     def tiles(self, facets: int, pixels: int) -> FloatArray:
         """(N, N, C, P, P) float32: each facet's tile of the targets, display values."""

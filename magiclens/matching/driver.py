@@ -65,7 +65,7 @@ def optics(scene: Scene) -> tuple[FloatArray, float, float, float, float]:
 def seen_grain(scene: Scene) -> float:
     """Side of the source patch, mm, that the eye sees through one flat micro-facet."""
     lens = scene.lens
-    spread = (lens.thickness_mm / lens.ior + lens.gap_mm) / (scene.reference_eye_mm[2] - lens.thickness_mm)
+    spread = (lens.thickness_mm / lens.ior + lens.gap_mm) / (float(scene.reference_eye_mm[2]) - lens.thickness_mm)
     return GRAIN_MARGIN * (1 + spread) * lens.pitch_mm / lens.microfacets
 
 

@@ -36,11 +36,12 @@ def _box_blur(image: FloatArray, width: float) -> FloatArray:
         return image
     whole = int((width - 1) / 2)
     kernel = np.concatenate([[(width - 1) / 2 - whole], np.ones(2 * whole + 1), [(width - 1) / 2 - whole]]) / width
-    return convolve1d(convolve1d(image, kernel, axis=1, mode="nearest"), kernel, axis=2, mode="nearest")
+    out: FloatArray = convolve1d(convolve1d(image, kernel, axis=1, mode="nearest"), kernel, axis=2, mode="nearest")
+    return out
 
 
 @njit(cache=True, fastmath=True)
-def _sample(image, x, y):  # type: ignore[no-untyped-def]
+def _sample(image, x, y):
     """Bilinear value and its derivatives per pixel at column x and row y."""
     h, w = image.shape
     x = min(max(x, 0.0), w - 1.001)
@@ -54,7 +55,7 @@ def _sample(image, x, y):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, fastmath=True)
-def _normal_equations(tile, levels, widths, per_mm, cx, cy, px, p, jtj, jtr, derive):  # type: ignore[no-untyped-def]
+def _normal_equations(tile, levels, widths, per_mm, cx, cy, px, p, jtj, jtr, derive):
     """Mean squared difference of parameters p; J^T J and J^T r of the residuals too if ``derive``."""
     channels, pixels, _ = tile.shape
     seen = px * math.sqrt(abs(p[2] * p[4] - p[3] * p[3]))
@@ -88,7 +89,7 @@ def _normal_equations(tile, levels, widths, per_mm, cx, cy, px, p, jtj, jtr, der
 
 
 @njit(cache=True)
-def _solve(jtj, jtr, damping, per_mm, isotropic, step):  # type: ignore[no-untyped-def]
+def _solve(jtj, jtr, damping, per_mm, isotropic, step):
     """Damped Gauss-Newton step by Cholesky; isotropic: only the offset and one scale may change."""
     n = 3 if isotropic else PARAMETERS
     a = np.zeros((n, n))
@@ -112,7 +113,7 @@ def _solve(jtj, jtr, damping, per_mm, isotropic, step):  # type: ignore[no-untyp
 
 
 @njit(cache=True, parallel=True)
-def polish(  # type: ignore[no-untyped-def]
+def polish(
     tiles, levels, widths, per_mm, centres, pitch, window, step_mm, most, iterations, isotropic,
     eye, depth, gap, ior, cos_limit, errors, offsets, maps
 ):

@@ -32,7 +32,7 @@ def bound_psnr_db(scene: Scene, assignment: Assignment) -> float:
 
 
 @njit(cache=True, parallel=True)
-def _predict(source, per_mm, centres, offsets, maps, size, resolution, samples):  # type: ignore[no-untyped-def]
+def _predict(source, per_mm, centres, offsets, maps, size, resolution, samples):
     rows, columns, channels = source.shape
     facets = len(centres)
     out = np.zeros((resolution, resolution, channels), np.float32)

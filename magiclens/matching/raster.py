@@ -60,7 +60,8 @@ def footprints(axis: Axis, width_mm: float, size_mm: float, pixels: int) -> tupl
 
 def average_columns(source: FloatArray, first: IntArray, weights: FloatArray) -> FloatArray:
     """(C, H, W) -> (C, H, count): footprint averages along x, linear light."""
-    return _average_columns(source, first, weights)
+    averages: FloatArray = _average_columns(source, first, weights)
+    return averages
 
 
 def build(columns: FloatArray, first: IntArray, weights: FloatArray, x: Axis, y: Axis) -> tuple[FloatArray, FloatArray]:
@@ -80,7 +81,7 @@ def build(columns: FloatArray, first: IntArray, weights: FloatArray, x: Axis, y:
 
 
 @njit(cache=True, parallel=True, fastmath=True)
-def _average_columns(source, first, weights):  # type: ignore[no-untyped-def]
+def _average_columns(source, first, weights):
     channels, rows, _ = source.shape
     count, taps = weights.shape
     out = np.zeros((channels, rows, count), np.float32)
@@ -96,7 +97,7 @@ def _average_columns(source, first, weights):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, parallel=True, fastmath=True)
-def _display_rows(columns, first, weights, table):  # type: ignore[no-untyped-def]
+def _display_rows(columns, first, weights, table):
     channels, rows, width = columns.shape
     count, taps = weights.shape
     out = np.zeros((channels, count, width), np.float32)
@@ -114,7 +115,7 @@ def _display_rows(columns, first, weights, table):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True, parallel=True, fastmath=True)
-def _block_means(plain, skip_y, skip_x):  # type: ignore[no-untyped-def]
+def _block_means(plain, skip_y, skip_x):
     channels, rows, width = plain.shape
     out = np.zeros_like(plain)
     span_y, span_x = (BLOCK - 1) * skip_y, (BLOCK - 1) * skip_x
@@ -133,7 +134,7 @@ def _block_means(plain, skip_y, skip_x):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, parallel=True)
-def _split(plain, out):  # type: ignore[no-untyped-def]
+def _split(plain, out):
     channels, rows, width = plain.shape
     sy, sx = out.shape[1], out.shape[2]
     for cy in prange(channels * rows):

@@ -17,7 +17,7 @@ from magiclens.optics.refraction import facet_normal
 
 
 @njit(cache=True)
-def reachable(cx, cy, rx, ry, xx, xy, yy, half, eye, depth, gap, ior, cos_limit):  # type: ignore[no-untyped-def]
+def reachable(cx, cy, rx, ry, xx, xy, yy, half, eye, depth, gap, ior, cos_limit):
     """Can a facet show this patch with slopes below the limit? Checked at its centre and its four corners.
 
     (cx, cy): facet centre, (rx, ry): offset, (xx, xy, yy): map, half: half the pitch; mm, image frame (y down).
@@ -35,13 +35,13 @@ def reachable(cx, cy, rx, ry, xx, xy, yy, half, eye, depth, gap, ior, cos_limit)
 
 @njit(cache=True)
 def distance_term(rx: float, ry: float, window_px: float, step: float) -> float:
-    """The paper's lambda M_s per pixel of a tile in display units (4.2): 1 / (m^2 - R^2) - 1 / m^2, R in search steps."""
+    """lambda M_s of 4.2 per pixel of a tile, in display units: 1 / (m^2 - R^2) - 1 / m^2, R in search steps."""
     m2 = window_px * window_px
     return 1.0 / (m2 - (rx * rx + ry * ry) / (step * step)) - 1.0 / m2
 
 
 @njit(cache=True)
-def _places(first, skip, stride, phases, indices):  # type: ignore[no-untyped-def]
+def _places(first, skip, stride, phases, indices):
     """Phase and index (see ``raster.build``) of the samples of consecutive tile pixels, from sample ``first`` on."""
     for k in range(len(phases)):
         phases[k] = (first + k * skip) % stride
@@ -49,7 +49,7 @@ def _places(first, skip, stride, phases, indices):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True, fastmath=True)
-def _difference(tile, raster, phase_y, at_y, phase_x, at_x, n, limit):  # type: ignore[no-untyped-def]
+def _difference(tile, raster, phase_y, at_y, phase_x, at_x, n, limit):
     """Sum of squared differences of a tile against the raster, n offsets to the right; stops once above the limit."""
     channels, pixels, _ = tile.shape
     total = np.float32(0.0)
@@ -64,7 +64,7 @@ def _difference(tile, raster, phase_y, at_y, phase_x, at_x, n, limit):  # type: 
 
 
 @njit(cache=True, fastmath=True)
-def _bound_row(acc, count, blocks, means, phase_y, at_y, phase_x, at_x):  # type: ignore[no-untyped-def]
+def _bound_row(acc, count, blocks, means, phase_y, at_y, phase_x, at_x):
     """acc[n] = lower bound of the sum of squared differences at the n-th offset of a row."""
     channels, per_side, _ = blocks.shape
     weight = np.float32(BLOCK * BLOCK)
@@ -85,7 +85,7 @@ def _bound_row(acc, count, blocks, means, phase_y, at_y, phase_x, at_x):  # type
 
 
 @njit(cache=True, parallel=True)
-def search(  # type: ignore[no-untyped-def]
+def search(
     tiles, blocks, raster, means, scale_x, scale_y, spacing_x, spacing_y, count_x, count_y, skip_x, skip_y,
     centres, window, step, buckets, mirrored, eye, depth, gap, ior, cos_limit, errors, offsets, maps
 ):

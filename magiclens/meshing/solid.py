@@ -1,4 +1,4 @@
-"""From heights to a closed mesh: one regular grid of vertices on top, sides, a flat bottom. Manifold by construction."""
+"""From heights to a closed mesh, manifold by construction: a regular grid on top, sides, a flat bottom."""
 
 from __future__ import annotations
 
@@ -37,7 +37,8 @@ def solid_from_heights(heights: HeightField) -> Solid:
     rim = _rim(len(lines))
     floor = _drop(plane.reshape(-1, 3)[rim], eye)
     vertices = np.concatenate([top.reshape(-1, 3), floor, floor.mean(axis=0, keepdims=True)])
-    faces = np.concatenate([_top_faces(len(lines)), _side_faces(rim, len(lines) ** 2), _floor_faces(rim, len(lines) ** 2)])
+    first = len(lines) ** 2
+    faces = np.concatenate([_top_faces(len(lines)), _side_faces(rim, first), _floor_faces(rim, first)])
     solid = Solid(vertices, faces.astype(np.int32), h.shape, eye)
     return Solid(vertices, solid.faces, h.shape, eye, {"volume_mm3": volume(solid)})
 
@@ -51,15 +52,17 @@ def volume(solid: Solid) -> float:
 def _lift(plane: FloatArray, h: FloatArray, eye: FloatArray | None) -> FloatArray:
     if eye is None:
         return plane + np.stack([np.zeros_like(h), np.zeros_like(h), h], axis=-1)
-    return eye + np.exp(-h / (eye[2] - plane[0, 0, 2]))[..., None] * (plane - eye)
+    lifted: FloatArray = eye + np.exp(-h / (eye[2] - plane[0, 0, 2]))[..., None] * (plane - eye)
+    return lifted
 
 
 def _drop(plane: FloatArray, eye: FloatArray | None) -> FloatArray:
     """Points of the reference plane (V, 3) moved down to z = 0 along their rays."""
     if eye is None:
         return plane * (1, 1, 0)
-    down = eye + (plane - eye) * (eye[2] / (eye[2] - plane[:, 2:]))
-    return down * (1, 1, 0)
+    down: FloatArray = eye + (plane - eye) * (eye[2] / (eye[2] - plane[:, 2:]))
+    down[:, 2] = 0.0
+    return down
 
 
 def _rim(g: int) -> IntArray:

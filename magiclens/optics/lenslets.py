@@ -7,42 +7,11 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from magiclens.artifacts import FloatArray, Scene
 from magiclens.optics.refraction import facet_normal, sine_in_slab
-
-EDGE_POINTS = 4
-
-
-def edge_models(scene: Scene, offsets: FloatArray, maps: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Edge profiles (N, N, K, 4, Q) float32, mm, of zero-mean lenslets, and outward drifts (N, N, K, 4) float32.
-
-    offsets: (N, N, K, 2) mm and maps: (N, N, K, 3), as in ``artifacts.Candidates``. Slopes are taken at the centre and the
-    four edge midpoints of each facet, with its centre on the reference plane; the lenslet between is quadratic. Edges
-    and drifts are those of ``optics.walls``.
-    """
-    lens, n = scene.lens, scene.lens.facets
-    shape = offsets.shape[:3]
-    profiles, drifts = _edge_models(
-        lens.facet_centres_mm().reshape(-1, 2), offsets.reshape(n * n, -1, 2).astype(np.float64),
-        maps.reshape(n * n, -1, 3).astype(np.float64), scene.reference_eye_mm, lens.pitch_mm, lens.thickness_mm,
-        lens.gap_mm, lens.ior, EDGE_POINTS,
-    )
-    return profiles.reshape(*shape, 4, EDGE_POINTS), drifts.reshape(*shape, 4)
-
-
-def central_slopes(scene: Scene, offsets: FloatArray) -> FloatArray:
-    """(N, N, K, 2) dz/dx and dz/dy at the facets' centres that show the patches at ``offsets`` (N, N, K, 2) mm."""
-    lens, n = scene.lens, scene.lens.facets
-    flat = offsets.reshape(n * n, -1, 2).astype(np.float64)
-    maps = np.ones((*flat.shape[:2], 3))
-    slopes = _centre_slopes(
-        lens.facet_centres_mm().reshape(-1, 2), flat, maps, scene.reference_eye_mm, lens.thickness_mm, lens.gap_mm, lens.ior
-    )
-    return slopes.reshape(offsets.shape)
 
 
 @njit(cache=True)
-def _at(cx, cy, px, py, offset, m, eye, depth, gap, ior, out):  # type: ignore[no-untyped-def]
+def _at(cx, cy, px, py, offset, m, eye, depth, gap, ior, out):
     """Slopes (out[0:2]) and inside drift (out[2:4], mm sideways per mm down) at (px, py) from a facet's centre."""
     x, y = cx + px, cy + py
     sx, sy = cx + offset[0] + m[0] * px + m[1] * py, cy + offset[1] + m[1] * px + m[2] * py
@@ -58,7 +27,13 @@ def _at(cx, cy, px, py, offset, m, eye, depth, gap, ior, out):  # type: ignore[n
 
 
 @njit(cache=True, parallel=True)
-def _edge_models(centres, offsets, maps, eye, pitch, depth, gap, ior, points):  # type: ignore[no-untyped-def]
+def edge_models(centres, offsets, maps, eye, pitch, depth, gap, ior, points):
+    """Edge profiles (F, K, 4, Q) float32, mm, of zero-mean lenslets, and outward drifts (F, K, 4) float32.
+
+    centres: (F, 2) mm. offsets: (F, K, 2) mm, maps: (F, K, 3), as in ``artifacts.Candidates``. Slopes are taken at the
+    centre and the four edge midpoints of each facet, on the plane z = depth; the lenslet between is quadratic. Edges
+    and drifts are those of ``optics.walls``.
+    """
     facets, labels, _ = offsets.shape
     profiles = np.zeros((facets, labels, 4, points), np.float32)
     drifts = np.zeros((facets, labels, 4), np.float32)
@@ -88,7 +63,8 @@ def _edge_models(centres, offsets, maps, eye, pitch, depth, gap, ior, points):  
 
 
 @njit(cache=True, parallel=True)
-def _centre_slopes(centres, offsets, maps, eye, depth, gap, ior):  # type: ignore[no-untyped-def]
+def centre_slopes(centres, offsets, maps, eye, depth, gap, ior):
+    """(F, K, 2) dz/dx and dz/dy at the facets' centres that show the patches at ``offsets`` (F, K, 2) mm."""
     out = np.zeros(offsets.shape)
     for f in prange(len(offsets)):
         s = np.zeros(4)

@@ -12,7 +12,7 @@ from numba import njit
 
 
 @njit(cache=True)
-def refract(dx: float, dy: float, dz: float, nx: float, ny: float, nz: float, eta: float):  # type: ignore[no-untyped-def]
+def refract(dx: float, dy: float, dz: float, nx: float, ny: float, nz: float, eta: float):
     """Direction after a surface, by Snell's law; (0, 0, 0) on total internal reflection.
 
     (dx, dy, dz): unit direction of travel. (nx, ny, nz): unit normal on the side the ray comes from.
@@ -64,7 +64,7 @@ def sine_in_slab(distance: float, depth: float, gap: float, ior: float) -> float
 
 
 @njit(cache=True)
-def facet_normal(  # type: ignore[no-untyped-def]
+def facet_normal(
     ex: float, ey: float, ez: float, x: float, y: float, z: float, sx: float, sy: float, gap: float, ior: float
 ):
     """The unit normal at (x, y, z) that shows the source point (sx, sy, -gap) to the eye (ex, ey, ez). All mm.

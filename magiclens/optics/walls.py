@@ -13,41 +13,29 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from magiclens.artifacts import Scene
-from magiclens.images import to_display
-
 RIGHT, UP, LEFT, DOWN = 0, 1, 2, 3
 
 
-def cost_of_lost_light(scene: Scene) -> float:
-    """Mean squared difference, in display values, of a target pixel and a random pixel of the source."""
-    total = 0.0
-    for view in scene.views:
-        s, t = to_display(view.source), to_display(view.target)
-        total += float((s**2).mean() - 2 * s.mean() * t.mean() + (t**2).mean())
-    return total / len(scene.views)
-
-
 @njit(cache=True, inline="always")
-def _pull(step, outward, inward, loss, even):  # type: ignore[no-untyped-def]
+def _pull(step, outward, inward, loss, even):
     """Energy of a step (own height minus neighbour's) and its derivative: one-sided loss plus ``even`` * step^2."""
     rate = loss * outward if step > 0.0 else -loss * inward
     return rate * step + even * step * step, rate + 2.0 * even * step
 
 
 @njit(cache=True)
-def settle(own, outward, others, inward, loss, even, screening, low, high):  # type: ignore[no-untyped-def]
+def settle(own, outward, others, inward, loss, even, screening, low, high):
     """The height at which a facet costs least, and that cost.
 
-    own: (4, Q) its edge profiles relative to its height. others: (4, Q) heights of the neighbours' edges facing it (nan: none).
-    outward, inward: (4,) drift of own rays toward each edge, of the neighbour's rays toward the same edge. The energy is
-    the mean over an edge's points of ``loss * lost width + even * step^2``, summed over edges, plus ``screening * height^2``.
-    low, high: bounds of the height. The energy is convex, so its derivative is bisected.
+    own: (4, Q) its edge profiles relative to its height. others: (4, Q) heights of the neighbours' edges facing it
+    (nan: none). outward, inward: (4,) drift of own rays toward each edge, of the neighbour's rays toward the same edge.
+    The energy is the mean over an edge's points of ``loss * lost width + even * step^2``, summed over edges, plus
+    ``screening * height^2``. low, high: bounds of the height. The energy is convex, so its derivative is bisected.
     """
     a, b = low, high
     points = own.shape[1]
     cost = 0.0
-    for turn in range(18):
+    for _ in range(18):
         c = 0.5 * (a + b)
         slope, cost = 2.0 * screening * c, screening * c * c
         for e in range(4):
@@ -65,7 +53,7 @@ def settle(own, outward, others, inward, loss, even, screening, low, high):  # t
 
 
 @njit(cache=True)
-def surroundings(i, j, choice, heights, profiles, drifts, others, inward):  # type: ignore[no-untyped-def]
+def surroundings(i, j, choice, heights, profiles, drifts, others, inward):
     """Edges that face facet (i, j): ``others`` (4, Q) heights, nan outside the lens, and ``inward`` (4,) drifts."""
     n = len(choice)
     others[:] = np.nan
@@ -81,7 +69,7 @@ def surroundings(i, j, choice, heights, profiles, drifts, others, inward):  # ty
 
 
 @njit(cache=True, parallel=True)
-def sweep(choice, heights, errors, profiles, drifts, loss, even, screening, relief, temperature, dice):  # type: ignore[no-untyped-def]
+def sweep(choice, heights, errors, profiles, drifts, loss, even, screening, relief, temperature, dice):
     """One heat-bath sweep over all facets, checkerboard order: each draws a candidate, and takes its best height.
 
     choice: (N, N) int64 and heights: (N, N) mm, updated in place. errors: (N, N, K), inf: no candidate. profiles:
@@ -114,7 +102,7 @@ def sweep(choice, heights, errors, profiles, drifts, loss, even, screening, reli
 
 
 @njit(cache=True)
-def _draw(energy, best, temperature, die):  # type: ignore[no-untyped-def]
+def _draw(energy, best, temperature, die):
     if temperature <= 0.0:
         return np.argmin(energy)
     total = 0.0
@@ -129,7 +117,7 @@ def _draw(energy, best, temperature, die):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, parallel=True)
-def total_energy(choice, heights, errors, profiles, drifts, loss, even, screening):  # type: ignore[no-untyped-def]
+def total_energy(choice, heights, errors, profiles, drifts, loss, even, screening):
     """Image error, light lost at walls, and the even part (step^2 and screening), each summed over the lens."""
     n = len(choice)
     parts = np.zeros((n, 3))

@@ -39,7 +39,8 @@ def grid_of(solid: Solid, lens: Lens) -> Grid:
     rows, columns = solid.grid
     points = solid.vertices[: rows * columns].reshape(rows, columns, 3)
     if solid.eye_mm is None:
-        return Grid(points[0, :, 0].copy(), points[:, 0, 1].copy(), points[..., 2].copy(), points, np.zeros(3), 1.0, True)
+        us, vs, ws = points[0, :, 0].copy(), points[:, 0, 1].copy(), points[..., 2].copy()
+        return Grid(us, vs, ws, points, np.zeros(3), 1.0, True)
     eye, plane = solid.eye_mm, float(solid.eye_mm[2] - lens.thickness_mm)
     w = plane / (eye[2] - points[..., 2])
     flat = eye[:2] + (points[..., :2] - eye[:2]) * w[..., None]

@@ -1,8 +1,8 @@
 """The built-in ray tracer: what each point of the lens's square shows to an eye, and how strongly.
 
 One path per sample, followed from the eye: where light splits into a refracted and a reflected part, the stronger
-one is followed and its share kept. Rays may leave through walls and enter again. The source is an emitter below the flat
-bottom; whatever ends elsewhere is black.
+one is followed and its share kept. Rays may leave through walls and enter again. The source is an emitter below the
+flat bottom; whatever ends elsewhere is black.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numba import njit, prange
 
 from magiclens.artifacts import FloatArray, Lens, Solid, Transport, View
 from magiclens.optics.refraction import refract, transmittance
-from magiclens.rendering.grid import Grid, grid_of
+from magiclens.rendering.grid import grid_of
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -26,21 +26,25 @@ _SPLIT = 1e-12
 
 
 def trace(solid: Solid, lens: Lens, view: View, resolution: int, samples: int) -> FloatArray:
-    """(R, R, samples^2, 3) float32, lens frame: source point x, y (mm, +y up) and transmission of every sub-pixel sample.
+    """(R, R, samples^2, 3) float32, lens frame: source point x, y (mm, +y up) and transmission of every sample.
 
-    The picture is the lens's square on the reference plane as ``view``'s eye sees it. Transmission is 0 where light is lost.
+    The picture is the lens's square on the reference plane as ``view``'s eye sees it; samples lie evenly within each
+    pixel. Transmission is 0 where light is lost.
     """
     grid = grid_of(solid, lens)
     eye = view.in_lens_frame().eye_mm
-    return _trace(
+    hits: FloatArray = _trace(
         grid.us, grid.vs, grid.ws, grid.points, grid.eye, grid.plane, grid.vertical, float(grid.points[..., 2].max()),
         np.ascontiguousarray(eye), lens.size_mm, lens.thickness_mm, lens.gap_mm, lens.ior, resolution, samples,
     )
+    return hits
 
 
 def picture(hits: FloatArray, source: FloatArray, source_size_mm: float) -> FloatArray:
     """(R, R, C) float32, linear light: the traced view of a source (H, W, C) in the same frame, bilinear look-up."""
-    return _picture(hits, np.ascontiguousarray(source, np.float32), source.shape[1] / source_size_mm)
+    per_mm = source.shape[1] / source_size_mm
+    seen: FloatArray = _picture(hits, np.ascontiguousarray(source, np.float32), per_mm)
+    return seen
 
 
 def transport(solid: Solid, lens: Lens, view: View, resolution: int, samples: int) -> Transport:
@@ -73,7 +77,7 @@ def _matrix(x: FloatArray, y: FloatArray, weight: FloatArray, rows: int, columns
 
 
 @njit(cache=True)
-def _to_grid(x, y, z, eye, plane, vertical):  # type: ignore[no-untyped-def]
+def _to_grid(x, y, z, eye, plane, vertical):
     if vertical:
         return x, y, z
     w = plane / (eye[2] - z)
@@ -81,14 +85,14 @@ def _to_grid(x, y, z, eye, plane, vertical):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _from_grid(u, v, w, eye, plane, vertical):  # type: ignore[no-untyped-def]
+def _from_grid(u, v, w, eye, plane, vertical):
     if vertical:
         return u, v, w
     return eye[0] + (u - eye[0]) / w, eye[1] + (v - eye[1]) / w, eye[2] - plane / w
 
 
 @njit(cache=True)
-def _cell(lines, value, descending):  # type: ignore[no-untyped-def]
+def _cell(lines, value, descending):
     """Index of the interval of ``lines`` that holds ``value``, clipped to the grid."""
     lo, hi = 0, len(lines) - 1
     while hi - lo > 1:
@@ -101,7 +105,7 @@ def _cell(lines, value, descending):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _facing(points, r, c, upper, out):  # type: ignore[no-untyped-def]
+def _facing(points, r, c, upper, out):
     """Upward unit normal, in space, of the upper-right (tl, br, tr) or lower-left (tl, bl, br) triangle of a cell."""
     a, d = points[r, c], points[r + 1, c + 1]
     b = points[r, c + 1] if upper else points[r + 1, c]
@@ -114,7 +118,7 @@ def _facing(points, r, c, upper, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _march(us, vs, ws, u0, v0, w0, u1, v1, w1, r, c, skip, inside, found):  # type: ignore[no-untyped-def]
+def _march(us, vs, ws, u0, v0, w0, u1, v1, w1, r, c, skip, inside, found):
     """Follow the segment from (u0, v0, w0), in cell (r, c), to (u1, v1, w1) until it crosses the surface.
 
     skip: 1 or 2 leaves out the upper or lower triangle of the first cell, on which the segment starts; 0: none.
@@ -167,7 +171,7 @@ def _march(us, vs, ws, u0, v0, w0, u1, v1, w1, r, c, skip, inside, found):  # ty
 
 
 @njit(cache=True)
-def _to_source(x, y, z, dx, dy, dz, weight, gap, ior, out):  # type: ignore[no-untyped-def]
+def _to_source(x, y, z, dx, dy, dz, weight, gap, ior, out):
     """Through the flat bottom and the gap: source point and weight, or weight 0 on total internal reflection."""
     weight *= transmittance(-dz, 1.0 / ior)
     ox, oy, oz = refract(dx, dy, dz, 0.0, 0.0, 1.0, 1.0 / ior)
@@ -178,7 +182,7 @@ def _to_source(x, y, z, dx, dy, dz, weight, gap, ior, out):  # type: ignore[no-u
 
 
 @njit(cache=True)
-def _follow(us, vs, ws, points, cut_eye, plane, vertical, top, eye, qx, qy, qz, gap, ior, normal, found, out):  # type: ignore[no-untyped-def]
+def _follow(us, vs, ws, points, cut_eye, plane, vertical, top, eye, qx, qy, qz, gap, ior, normal, found, out):
     """The path from the eye through (qx, qy, qz) on the reference plane; out = source x, y and transmission."""
     out[2] = 0.0
     dx, dy, dz = qx - eye[0], qy - eye[1], qz - eye[2]
@@ -223,7 +227,7 @@ def _follow(us, vs, ws, points, cut_eye, plane, vertical, top, eye, qx, qy, qz, 
 
 
 @njit(cache=True, parallel=True)
-def _trace(us, vs, ws, points, cut_eye, plane, vertical, top, eye, size, depth, gap, ior, resolution, samples):  # type: ignore[no-untyped-def]
+def _trace(us, vs, ws, points, cut_eye, plane, vertical, top, eye, size, depth, gap, ior, resolution, samples):
     hits = np.zeros((resolution, resolution, samples * samples, 3), np.float32)
     sub = size / (resolution * samples)
     for i in prange(resolution):
@@ -240,7 +244,7 @@ def _trace(us, vs, ws, points, cut_eye, plane, vertical, top, eye, size, depth, 
 
 
 @njit(cache=True, parallel=True)
-def _picture(hits, source, per_mm):  # type: ignore[no-untyped-def]
+def _picture(hits, source, per_mm):
     rows, columns, channels = source.shape
     height, width, samples, _ = hits.shape
     out = np.zeros((height, width, channels), np.float32)

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from magiclens.artifacts import Assignment, FloatArray, Scene
+from magiclens.facets import central_slopes
 from magiclens.matching.predict import predict
-from magiclens.optics.lenslets import central_slopes
 from magiclens.report.data import RunData
 from magiclens.report.figure import Figure
 from magiclens.report.photographs import photograph

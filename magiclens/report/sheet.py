@@ -24,6 +24,9 @@ FINER = 2
 GAP, TEXT, LINE, BAR, LABELS = 28, 24, 40, 20, 76
 """Pixels: between tiles, of a letter, of a line of text, of a colour bar, of the numbers beside it."""
 
+SMALLEST = 11
+"""Pixels of the smallest letters."""
+
 
 @dataclass(frozen=True)
 class Tile:
@@ -54,9 +57,8 @@ def display(linear: FloatArray, side: int) -> Pixels:
 
 def shrunk(picture: FloatArray) -> FloatArray:
     """(S, S, C) float32: means of the blocks of a picture (FINER S, FINER S, C)."""
-    rows = np.sum([picture[k::FINER] for k in range(FINER)], axis=0, dtype=np.float32)
-    sums = np.sum([rows[:, k::FINER] for k in range(FINER)], axis=0, dtype=np.float32)
-    return np.asarray(sums / FINER**2, np.float32)
+    rows = np.asarray(np.mean([picture[k::FINER] for k in range(FINER)], axis=0, dtype=np.float32))
+    return np.asarray(np.mean([rows[:, k::FINER] for k in range(FINER)], axis=0, dtype=np.float32))
 
 
 def painted(scale: Scale, values: FloatArray) -> Pixels:
@@ -103,11 +105,14 @@ def _place(image: Image, draw: ImageDraw, tile: Tile, x: int, y: int) -> None:
 
 
 def _write(draw: ImageDraw, x: int, y: int, text: str, colour: str, width: int) -> None:
-    """One line of text whose middle is at y, made smaller where it would be wider than ``width``."""
+    """One line of text whose middle is at y, made smaller where it would be wider than ``width``, then cut."""
     from PIL import ImageFont
 
-    size = TEXT * min(1.0, width / max(ImageFont.load_default(TEXT).getlength(text), 1.0))
-    draw.text((x, y), text, fill=colour, font=ImageFont.load_default(size), anchor="lm")
+    line = " ".join(text.split())
+    size = TEXT * min(1.0, width / max(ImageFont.load_default(TEXT).getlength(line), 1.0))
+    font = ImageFont.load_default(max(size, SMALLEST))
+    fits = next(k for k in range(len(line), -1, -1) if font.getlength(line[:k]) <= width)
+    draw.text((x, y), line[:fits], fill=colour, font=font, anchor="lm")
 
 
 def _colour_bar(image: Image, draw: ImageDraw, scale: Scale, x: int, y: int, height: int) -> None:

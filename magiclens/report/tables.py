@@ -13,7 +13,8 @@ from magiclens.report.data import RunData
 from magiclens.report.photographs import Photograph
 
 LABELS = {
-    "matching_psnr_db": "Picture if every facet were perfect, against the target (the bound that matching sets)",
+    "matching_psnr_db": "Bound set by matching: if every facet showed its best candidate perfectly",
+    "assigned_psnr_db": "Bound after annealing: if every facet showed its choice perfectly",
     "step_mean_mm": "Step between neighbouring facets, mean",
     "step_max_mm": "Step between neighbouring facets, highest",
     "slope_mean_deg": "Slope of the surface, mean",

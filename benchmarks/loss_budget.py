@@ -1,0 +1,90 @@
+"""Where the light goes: the loss budget of one spec, from the matching bound to the path-traced mesh.
+
+    python benchmarks/loss_budget.py specs/single.yaml [key=value ...]
+
+Every row changes one thing and traces again; PSNR in dB, mean over the views. Rows of the solid differ from the one
+before by one loss: ideal facets, the assignment, micro-facets without walls' shadows, shadows, Fresnel.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from magiclens.artifacts import Assignment, FloatArray, Scene
+from magiclens.images import score
+from magiclens.integration.poisson import Poisson
+from magiclens.matching.predict import bound_psnr_db
+from magiclens.meshing.solid import solid_from_heights
+from magiclens.plan import load_plan
+from magiclens.rendering.trace import picture, trace
+
+RESOLUTION, SAMPLES = 512, 4
+
+
+def pictures(
+    scene: Scene, assignment: Assignment, integrator: Poisson, fresnel: bool, unshadowed: bool
+) -> list[FloatArray]:
+    """One picture per view, lens frame; without Fresnel losses every path that arrives counts fully."""
+    solid = solid_from_heights(integrator.integrate(scene, assignment))
+    out = []
+    for view in scene.views:
+        hits = trace(solid, scene.lens, view, RESOLUTION, SAMPLES).copy()
+        if unshadowed:
+            ideal = wanted(scene, assignment)
+            miss = np.linalg.norm(hits[..., :2] - ideal, axis=-1)
+            astray = miss > 2 * scene.lens.pitch_mm / scene.lens.microfacets
+            hits[astray, :2], hits[astray, 2] = ideal[astray], 0.92
+        if not fresnel:
+            hits[..., 2] = hits[..., 2] > 0
+        out.append(picture(hits, view.in_lens_frame().source, scene.lens.source_size_mm))
+    return out
+
+
+def wanted(scene: Scene, assignment: Assignment) -> FloatArray:
+    """(R, R, S^2, 2) source points, mm, at which the traced samples should arrive."""
+    lens = scene.lens
+    at = (np.arange(RESOLUTION * SAMPLES) + 0.5) * lens.size_mm / (RESOLUTION * SAMPLES) - lens.size_mm / 2
+    facet = np.minimum(((at / lens.size_mm + 0.5) * lens.facets).astype(int), lens.facets - 1)
+    centre = lens.facet_centres_mm()[facet[:, None], facet[None, :]]
+    offset, m = assignment.offsets_mm[facet[:, None], facet], assignment.maps[facet[:, None], facet]
+    u, v = at[None, :] - centre[..., 0], -at[:, None] - centre[..., 1]
+    seen = centre + offset + np.stack([m[..., 0] * u + m[..., 1] * v, m[..., 1] * u + m[..., 2] * v], axis=-1)
+    blocks = seen.reshape(RESOLUTION, SAMPLES, RESOLUTION, SAMPLES, 2).transpose(0, 2, 1, 3, 4)
+    return blocks.reshape(RESOLUTION, RESOLUTION, SAMPLES**2, 2)
+
+
+def mean_psnr(scene: Scene, seen: list[FloatArray]) -> float:
+    """Mean PSNR over the views of pictures in the lens frame."""
+    return float(
+        np.mean([score(p, v.in_lens_frame().target).psnr_db for p, v in zip(seen, scene.views, strict=True)])
+    )
+
+
+def main(spec: str, *overrides: str) -> None:
+    """Print the budget of a spec."""
+    plan = load_plan(Path(spec), overrides)
+    scene, rng = plan.scene(), np.random.default_rng(plan.spec.seed)
+    candidates = plan.matcher.stage.match(scene, rng)
+    best = Assignment.pick(candidates, np.zeros(candidates.errors.shape[:2], np.int64))
+    chosen = plan.annealer.stage.anneal(scene, candidates, rng)
+    built = plan.integrator.stage
+    fine = Scene(replace(scene.lens, microfacets=2 * scene.lens.microfacets), scene.views)
+    rows = [
+        ("every facet's best candidate, ideal", bound_psnr_db(scene, best)),
+        ("annealed candidates, ideal", bound_psnr_db(scene, chosen)),
+        ("+ micro-facets", mean_psnr(scene, pictures(scene, chosen, built, False, True))),
+        ("+ rays astray at walls and between lenslets", mean_psnr(scene, pictures(scene, chosen, built, False, False))),
+        ("+ Fresnel: the lens as traced", mean_psnr(scene, pictures(scene, chosen, built, True, False))),
+        ("the lens without annealing", mean_psnr(scene, pictures(scene, best, built, True, False))),
+        ("the lens with twice the micro-facets", mean_psnr(fine, pictures(fine, chosen, built, True, False))),
+    ]
+    for name, value in rows:
+        print(f"{value:6.2f} dB  {name}", flush=True)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
