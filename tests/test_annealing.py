@@ -233,3 +233,13 @@ def test_candidates_much_worse_than_the_best_are_not_used(scene: Scene, acceptan
     found = annealed(Metropolis(acceptance=acceptance), scene, candidates)
     assert (found.errors <= candidates.errors[..., 0] + acceptance + 1e-9).all()
     assert (found.choice > 0).any() == (acceptance > 0)
+
+
+def test_a_best_candidate_spoilt_by_rematching_is_not_used() -> None:
+    """Rematching corrects errors but keeps the order, so that the first candidate may no longer be the best."""
+    fits, shape = many_candidates(labels=6), (N, N, 6)
+    errors = np.broadcast_to([0.5, 0.001, 0.0015, 0.4, 0.4, 0.4], shape)
+    found = annealed(
+        Metropolis(acceptance=0.002), blank_scene(small_lens(N)), choices(fits.offsets_mm, fits.maps, errors)
+    )
+    assert found.errors.max() <= 0.003

@@ -316,6 +316,20 @@ def test_reported_steps_are_those_between_facing_edges() -> None:
     assert heights.metrics["step_mean_mm"] == pytest.approx(steps.mean())
 
 
+def test_no_step_exceeds_the_limit_and_only_borders_change() -> None:
+    lens = small_lens(5, 2.0, microfacets=6)
+    scene, assignment = blank_scene(lens), wild(5, 0, 3.0)
+    free, limited = (Poisson(step_limit=limit).integrate(scene, assignment) for limit in (None, "0.1mm"))
+    assert free.metrics["step_max_mm"] > 0.2
+    assert limited.metrics["step_max_mm"] <= 0.1
+    h = limited.heights_mm
+    assert np.abs(h[:, :-1, :, -1] - h[:, 1:, :, 0]).max() <= 0.1
+    assert np.abs(h[:-1, :, -1] - h[1:, :, 0]).max() <= 0.1
+    np.testing.assert_array_equal(h[:, :, 1:-1, 1:-1], free.heights_mm[:, :, 1:-1, 1:-1])
+    low = np.abs(free.heights_mm[:, :-1, 1:-1, -1] - free.heights_mm[:, 1:, 1:-1, 0]) <= 0.1
+    np.testing.assert_array_equal(h[:, :-1, 1:-1, -1][low], free.heights_mm[:, :-1, 1:-1, -1][low])
+
+
 def test_least_squares_trades_slopes_for_continuity() -> None:
     lens = small_lens(6, 2.0, microfacets=4)
     scene, assignment = blank_scene(lens), wild(6, 0, 2.0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,15 +14,33 @@ from scipy.ndimage import map_coordinates
 from magiclens.artifacts import Assignment, Candidates, FloatArray, Lens, Scene, View
 from magiclens.errors import InputError
 from magiclens.images import to_display, to_linear
+from magiclens.integration.poisson import Poisson
 from magiclens.matching import raster as rasters
 from magiclens.matching.channels import stack_channels
 from magiclens.matching.driver import Pool, search_all
 from magiclens.matching.exhaustive import Exhaustive
 from magiclens.matching.polish import blur_levels
 from magiclens.matching.predict import predict
+from magiclens.meshing.solid import solid_from_heights
 from magiclens.optics.refraction import facet_normal
+from magiclens.rematch import rematch
+from magiclens.rendering.tracer import Tracer
 from magiclens.stages import silent
-from scenes import ABOVE, ASIDE, IOR, THICK, Eye, assigned, blotches, grey_view, letter_f, ramps, small_lens
+from scenes import (
+    ABOVE,
+    ASIDE,
+    IOR,
+    THICK,
+    Eye,
+    assigned,
+    blank_scene,
+    blotches,
+    choices,
+    grey_view,
+    letter_f,
+    ramps,
+    small_lens,
+)
 
 RNG = np.random.default_rng(0)
 TILE_PX = 48
@@ -406,3 +425,26 @@ def test_prediction_follows_offsets_and_maps(turns: int) -> None:
     scene = Scene(lens, (grey_view(source, source, ABOVE, 90.0 * turns),))
     picture = predict(scene, chosen, 64, 1)[0][..., 0]
     np.testing.assert_allclose(picture, seen(source, lens, chosen, 64, turns), atol=2e-5)
+
+
+# rematching
+
+
+@pytest.mark.parametrize("turns", range(4))
+def test_rematching_replaces_the_errors_in_use_by_those_of_the_lens_as_built(turns: int) -> None:
+    """Facets of the target that are what the lens shows have no error, others do; nothing else changes."""
+    lens = small_lens(4, 5.0, source=30.0, microfacets=8)
+    source, eye = blotches(300, 6.0), np.array(ABOVE)
+    heights = Poisson().integrate(blank_scene(lens), assigned(RNG.uniform(-1, 1, (4, 4, 2)), (0.7, 0.1, 0.5)))
+    view = View("v", source[..., None], source[..., None], eye, 90.0 * turns)
+    shown = Tracer(resolution=128, samples=2).render(Scene(lens, (view,)), solid_from_heights(heights))[0]
+    spoilt = np.rot90(shown, -turns).copy()
+    spoilt[32:64, 96:] = 1 - spoilt[32:64, 96:]
+    scene = Scene(lens, (replace(view, target=np.rot90(spoilt, turns).copy()),))
+    offered = choices(np.zeros((4, 4, 3, 2)), np.ones((4, 4, 3, 3)), np.full((4, 4, 3), 0.7))
+    again = rematch(scene, offered, Assignment.pick(offered, np.full((4, 4), 1)), heights)
+    assert again.errors[1, 3, 1] > 0.02
+    others = np.delete(again.errors[..., 1].ravel(), 7)
+    assert others.max() < 3e-3
+    np.testing.assert_array_equal(again.errors[..., [0, 2]], offered.errors[..., [0, 2]])
+    np.testing.assert_array_equal(again.offsets_mm, offered.offsets_mm)

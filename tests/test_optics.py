@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq, minimize_scalar
 
 from magiclens.artifacts import FloatArray, Scene
-from magiclens.facets import EDGE_POINTS, central_slopes, edge_models
+from magiclens.facets import EDGE_POINTS, central_slopes, cost_of_lost_light, edge_models
 from magiclens.optics.refraction import facet_normal, refract, sine_in_slab, transmittance
-from magiclens.optics.walls import DOWN, LEFT, RIGHT, UP, cost_of_lost_light, settle, sweep, total_energy
+from magiclens.optics.walls import DOWN, LEFT, RIGHT, UP, settle, sweep, total_energy
 from scenes import ABOVE, DISTANCE, IOR, THICK, blank_scene, grey_view, small_lens
 
 EYES = [(0.0, 0.0, THICK + DISTANCE), (120.0, -80.0, THICK + 300.0), (-30.0, 200.0, THICK + 500.0)]
@@ -191,10 +191,10 @@ def test_rays_drift_toward_the_edges_on_the_side_they_are_bent_to() -> None:
 
 def two_facets(step: float, drift: float, edge: int = RIGHT) -> tuple[FloatArray, ...]:
     """(1 of 2) x 2 facets; the left one is ``step`` higher, all of its rays drift toward one edge."""
-    heights = np.array([[step, 0.0], [0.0, 0.0]])
-    drifts = np.zeros((2, 2, 1, 4))
+    heights, profiles = np.array([[step, 0.0], [0.0, 0.0]]), np.zeros((2, 2, 1, 4, EDGE_POINTS), np.float32)
+    drifts = np.zeros((2, 2, 1, 4), np.float32)
     drifts[0, 0, 0, edge] = drift
-    return np.zeros((2, 2), np.int64), heights, np.zeros((2, 2, 1)), np.zeros((2, 2, 1, 4, EDGE_POINTS)), drifts
+    return np.zeros((2, 2), np.int64), heights, np.zeros((2, 2, 1)), profiles, drifts
 
 
 @pytest.mark.parametrize(
@@ -256,14 +256,14 @@ def test_a_facet_settles_within_its_bounds() -> None:
 def test_a_cold_sweep_never_raises_the_energy(seed: int, n: int, labels: int) -> None:
     rng = np.random.default_rng(seed)
     choice, heights = rng.integers(0, labels, (n, n)), rng.uniform(-1, 1, (n, n))
-    errors, drifts = rng.uniform(0, 0.1, (n, n, labels)), rng.uniform(0, 0.4, (n, n, labels, 4))
-    profiles = rng.uniform(-0.5, 0.5, (n, n, labels, 4, EDGE_POINTS))
+    errors, drifts = rng.uniform(0, 0.1, (n, n, labels)), rng.uniform(0, 0.4, (n, n, labels, 4)).astype(np.float32)
+    profiles = rng.uniform(-0.5, 0.5, (n, n, labels, 4, EDGE_POINTS)).astype(np.float32)
     weights = (0.3, 0.02, 1e-4)
     before = total_energy(choice, heights, errors, profiles, drifts, *weights).sum()
     for _ in range(3):
         sweep(choice, heights, errors, profiles, drifts, *weights, 2.0, 0.0, np.zeros((n, n)))
         after = total_energy(choice, heights, errors, profiles, drifts, *weights).sum()
-        assert after <= before + 1e-4 * n**2
+        assert after <= before + 2e-5 * n**2
         before = after
 
 

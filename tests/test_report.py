@@ -252,7 +252,9 @@ def test_the_height_map_is_the_height_field_with_plus_y_up(wall: float) -> None:
     x, y = plane_points_mm(lens)
     sampled = sample_heights(surface(lens, 0.2 * x + 0.5 * y), 120)
     at = (np.arange(120) + 0.5) / 10 - 6
-    assert np.allclose(sampled, 0.2 * at - 0.5 * at[:, None], atol=0.5 * wall)
+    inside = abs(at - 3 * np.rint(at / 3)) > wall / 2
+    assert inside.sum() > 90
+    assert np.allclose(sampled[inside][:, inside], (0.2 * at - 0.5 * at[:, None])[inside][:, inside], atol=1e-5)
     assert sampled[0].mean() > sampled[-1].mean()
 
 

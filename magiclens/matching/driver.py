@@ -107,7 +107,8 @@ def search_all(
     per_side = options.pixels // rasters.BLOCK
     blocks = tiles.reshape(*tiles.shape[:2], per_side, rasters.BLOCK, per_side, rasters.BLOCK).mean(axis=(3, 5))
     symmetric = options.maps == "symmetric"
-    pairs = list(itertools.product(options.scales, repeat=2)) if symmetric else [(s, s) for s in options.scales]
+    scales = resolved_scales(options.scales, px, channels.source_px_mm)
+    pairs = list(itertools.product(scales, repeat=2)) if symmetric else [(s, s) for s in scales]
     for done, (sx, group) in enumerate(itertools.groupby(pairs, key=lambda p: p[0])):
         x = rasters.axis(sx, px, step, size)
         columns = rasters.average_columns(source, *rasters.footprints(x, sx * px + grain, size, source.shape[2]))
@@ -119,4 +120,9 @@ def search_all(
                 tiles, blocks, samples, means, sx, sy, x.spacing_mm, y.spacing_mm, x.count, y.count, x.skip, y.skip,
                 centres, window, step, pool.buckets, symmetric, *optics(scene), pool.errors, pool.offsets, pool.maps,
             )
-        progress((done + 1) / len({p[0] for p in pairs}))
+        progress((done + 1) / len(scales))
+
+
+def resolved_scales(scales: tuple[float, ...], px: float, source_px: float) -> tuple[float, ...]:
+    """The scales without those so small that a tile pixel sees less than half a source pixel: these are raised."""
+    return tuple(sorted({max(scale, 0.5 * source_px / px) for scale in scales}))

@@ -196,12 +196,9 @@ def _follow(us, vs, ws, points, cut_eye, plane, vertical, top, eye, qx, qy, qz, 
         return
     r, c = _cell(vs, v0, True), _cell(us, u0, False)
     for _ in range(MAX_EVENTS):
-        if dz >= 0.0 and (not inside or dz == 0.0):
-            reach = (top + 2e-3 - z) / dz if dz > 0.0 else 0.0
-        else:
-            reach = (top + 2e-3 - z) / dz if dz > 0.0 else -z / dz
-        if reach <= 0.0:
+        if dz == 0.0:
             return
+        reach = (top + 2e-3 - z) / dz if dz > 0.0 else -z / dz
         u1, v1, w1 = _to_grid(x + dx * reach, y + dy * reach, z + dz * reach, cut_eye, plane, vertical)
         at = _march(us, vs, ws, u0, v0, w0, u1, v1, w1, r, c, skip, inside, found)
         if at >= 2.0:
