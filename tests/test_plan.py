@@ -32,7 +32,7 @@ def test_stages_know_the_plugin_they_come_from(plan: Plan) -> None:
 def test_every_option_is_explicit_in_a_resolved_spec(plan: Plan) -> None:
     resolved = plan.resolved()
     assert resolved["pipeline"]["matcher"] == {"type": "toy", "sweeps": 5, "window": "10%", "step": "0.5mm"}
-    assert resolved["lens"]["wall"] == "0.002mm"
+    assert resolved["lens"]["wall"] == "0.0005mm"
     assert resolved["lens"]["material"] == "acrylic"
     assert "ior" not in resolved["lens"]
     assert resolved["scenario"]["source"]["radius"] == ["0.5mm", "2.5mm"]
