@@ -243,10 +243,8 @@ def test_a_patch_of_another_symmetric_map_is_found_by_polishing() -> None:
     sheared = np.array([(0.7, 0.12, 0.5), (-0.5, 0.1, 0.65), (0.55, -0.1, 0.75), (0.72, 0.08, -0.5)])
     scene, cut = cut_out(sheared, seed=1)
     found = matched(Exhaustive(window="6mm", scales=(0.45, 0.6, 0.8), candidates=16), scene)
-    close = np.abs(found.maps - cut.maps[:, :, None]).max(axis=-1) < 0.015
-    near = np.abs(found.offsets_mm - cut.offsets_mm[:, :, None]).max(axis=-1) < 0.01
-    assert (close & near).any(axis=-1).mean() > 0.8
-    assert (close & near)[..., 0].mean() > 0.8
+    np.testing.assert_allclose(found.offsets_mm[:, :, 0], cut.offsets_mm, atol=0.01)
+    np.testing.assert_allclose(found.maps[:, :, 0], cut.maps, atol=0.01)
 
 
 def test_without_polishing_patches_lie_on_the_lattice_of_offsets() -> None:
@@ -295,10 +293,10 @@ def test_an_error_is_the_mean_squared_difference_of_display_values() -> None:
 # candidates
 
 
-def busy_candidates(**options: object) -> tuple[Lens, Candidates]:
-    lens = small_lens(4, 3.0, source=24.0, max_slope_deg=25.0, relief_mm=10.0)
-    scene = Scene(lens, (grey_view(blotches(240, 4.0), letter_f(64)),))
-    return lens, matched(Exhaustive(**{"window": "14mm", "candidates": 25} | options), scene)
+def busy_candidates(eye: Eye = ABOVE) -> tuple[Lens, Candidates]:
+    lens = small_lens(4, 3.0, source=24.0, max_slope_deg=25.0)
+    scene = Scene(lens, (grey_view(blotches(240, 4.0), letter_f(64), eye),))
+    return lens, matched(Exhaustive(window="14mm", candidates=25), scene)
 
 
 def test_candidates_are_sorted_and_empty_places_come_last() -> None:
@@ -319,14 +317,15 @@ def test_candidates_lie_in_the_window_and_in_the_source() -> None:
     assert reach[real].max() <= lens.source_size_mm / 2 + 1e-4
 
 
-def test_patches_that_take_too_steep_facets_are_left_out() -> None:
-    lens, found = busy_candidates()
+@pytest.mark.parametrize("eye", [ABOVE, (100.0, 200.0, THICK + 500.0)], ids=["eye above", "eye aside"])
+def test_patches_that_take_too_steep_facets_are_left_out(eye: Eye) -> None:
+    lens, found = busy_candidates(eye)
     steepest = 0.0
     for i, j, k in np.argwhere(np.isfinite(found.errors)):
         centre, (xx, xy, yy) = lens.facet_centres_mm()[i, j], found.maps[i, j, k]
         for p in itertools.product((-1.5, 1.5), repeat=2):
             s = centre + found.offsets_mm[i, j, k] + (xx * p[0] + xy * p[1], xy * p[0] + yy * p[1])
-            normal = facet_normal(*ABOVE, *(centre + p), THICK, *s, 0.0, IOR)
+            normal = facet_normal(*eye, *(centre + p), THICK, *s, 0.0, IOR)
             steepest = max(steepest, math.degrees(math.acos(normal[2])))
     assert 20.0 < steepest < 25.001
 

@@ -12,8 +12,9 @@ from magiclens.artifacts import Candidates, FloatArray, Lens, Scene
 from magiclens.errors import InputError
 from magiclens.matching import raster as rasters
 from magiclens.matching.channels import Channels, stack_channels
+from magiclens.matching.judge import DISPLAY, judge
 from magiclens.matching.polish import blur_levels, polish
-from magiclens.matching.search import search
+from magiclens.matching.search import distance_term, search
 from magiclens.stages import Progress
 
 if TYPE_CHECKING:
@@ -62,11 +63,16 @@ def optics(scene: Scene) -> tuple[FloatArray, float, float, float, float]:
     return eye, lens.thickness_mm, lens.gap_mm, lens.ior, math.cos(math.radians(lens.max_slope_deg))
 
 
-def seen_grain(scene: Scene) -> float:
-    """Side of the source patch, mm, that the eye sees through one flat micro-facet."""
+def flat_scale(scene: Scene) -> float:
+    """How many mm of the source the eye sees per mm of a flat facet: a little over 1, by perspective."""
     lens = scene.lens
-    spread = (lens.thickness_mm / lens.ior + lens.gap_mm) / (float(scene.reference_eye_mm[2]) - lens.thickness_mm)
-    return GRAIN_MARGIN * (1 + spread) * lens.pitch_mm / lens.microfacets
+    far = float(scene.reference_eye_mm[2]) - lens.thickness_mm
+    return 1 + (lens.thickness_mm / lens.ior + lens.gap_mm) / far
+
+
+def seen_grain(scene: Scene) -> float:
+    """Side of the source patch, mm, over which search and polishing average: a micro-facet's, with a margin."""
+    return GRAIN_MARGIN * flat_scale(scene) * scene.lens.pitch_mm / scene.lens.microfacets
 
 
 def match(options: Exhaustive, scene: Scene, progress: Progress) -> Candidates:
@@ -91,6 +97,11 @@ def match(options: Exhaustive, scene: Scene, progress: Progress) -> Candidates:
         fine, blur_levels(channels.source, channels.source_px_mm, grain, widths), np.array(widths),
         1 / channels.source_px_mm, centres, lens.pitch_mm, window, step, options.polish, 10, options.maps == "scale",
         *optics(scene), pool.errors, pool.offsets, pool.maps,
+    )
+    far = distance_term(pool.offsets[..., 0], pool.offsets[..., 1], 2 * window / step, step)
+    judge(
+        fine, channels.source, 1 / channels.source_px_mm, centres, lens.pitch_mm, lens.microfacets, flat_scale(scene),
+        far, DISPLAY, pool.errors, pool.offsets, pool.maps,
     )
     pool.sort()
     return pool.candidates(lens, options.candidates)
