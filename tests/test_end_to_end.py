@@ -13,7 +13,8 @@ from magiclens.images import read_image, score
 
 SPECS = Path(__file__).parent.parent / "specs"
 SMALL = ["lens.facets=12", "lens.microfacets=16", "lens.size=40mm", "pipeline.finisher={type: pymeshlab}"]
-MITSUBA = "pipeline.renderers=[{type: tracer, resolution: 192, samples: 4}, {type: mitsuba, resolution: 192, samples: 256}]"
+RENDERERS = "[{type: tracer, resolution: 192, samples: 4}, {type: mitsuba, resolution: 192, samples: 256}]"
+MITSUBA = f"pipeline.renderers={RENDERERS}"
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from magiclens.matching import raster as rasters
 from magiclens.matching.channels import Channels, stack_channels
 from magiclens.matching.judge import DISPLAY, judge
 from magiclens.matching.polish import blur_levels, polish
-from magiclens.matching.search import distance_term, search
+from magiclens.matching.search import search
 from magiclens.stages import Progress
 
 if TYPE_CHECKING:
@@ -45,6 +45,10 @@ class Pool:
         self.errors = np.take_along_axis(self.errors, order, 1)
         self.offsets = np.take_along_axis(self.offsets, order[..., None], 1)
         self.maps = np.take_along_axis(self.maps, order[..., None], 1)
+
+    def drop(self, acceptance: float) -> None:
+        """Give up candidates whose error exceeds their facet's best by more than ``acceptance``."""
+        self.errors[self.errors > self.errors.min(axis=1, keepdims=True) + acceptance] = np.inf
 
     def candidates(self, lens: Lens, most: int) -> Candidates:
         """The best ``most`` of every facet, +y up."""
@@ -98,10 +102,10 @@ def match(options: Exhaustive, scene: Scene, progress: Progress) -> Candidates:
         1 / channels.source_px_mm, centres, lens.pitch_mm, window, step, options.polish, 10, options.maps == "scale",
         *optics(scene), pool.errors, pool.offsets, pool.maps,
     )
-    far = distance_term(pool.offsets[..., 0], pool.offsets[..., 1], 2 * window / step, step)
+    pool.drop(options.acceptance)
     judge(
         fine, channels.source, 1 / channels.source_px_mm, centres, lens.pitch_mm, lens.microfacets, flat_scale(scene),
-        far, DISPLAY, pool.errors, pool.offsets, pool.maps,
+        2 * window / step, step, DISPLAY, pool.errors, pool.offsets, pool.maps,
     )
     pool.sort()
     return pool.candidates(lens, options.candidates)

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit, prange
 
 from magiclens.images import to_display
+from magiclens.matching.search import distance_term
 
 SAMPLES = 2
 """Source look-ups per side of a pixel."""
@@ -20,11 +21,11 @@ DISPLAY = to_display(np.linspace(0.0, 1.0, 4097)).astype(np.float32)
 
 
 @njit(cache=True, parallel=True, fastmath=True)
-def judge(tiles, source, per_mm, centres, pitch, microfacets, spread, far, table, errors, offsets, maps):
-    """Replace ``errors`` (F, K) by mean squared differences of display values plus ``far`` (F, K); inf stays.
+def judge(tiles, source, per_mm, centres, pitch, microfacets, spread, window_px, step, table, errors, offsets, maps):
+    """Replace ``errors`` (F, K) by mean squared differences of display values plus the distance term; inf stays.
 
-    tiles: (F, C, P, P) display values. source: (C, H, W) linear light. spread: how much a flat facet magnifies, about 1.
-    offsets (F, K, 2) and maps (F, K, 3): image frame (y down), mm.
+    tiles: (F, C, P, P) display values. source: (C, H, W) linear light. spread: mm of the source seen per mm of a flat
+    facet. window_px, step: see ``distance_term``. offsets (F, K, 2), maps (F, K, 3): image frame (y down), mm.
     """
     channels, pixels = tiles.shape[1], tiles.shape[2]
     height, width = source.shape[1], source.shape[2]
@@ -56,4 +57,5 @@ def judge(tiles, source, per_mm, centres, pitch, microfacets, spread, far, table
                 for c in range(channels):
                     seen = table[int(light[c] * (4096.0 / (SAMPLES * SAMPLES)) + 0.5)]
                     total += (seen - tiles[f, c, p // pixels, p % pixels]) ** 2
-            errors[f, k] = total / (channels * pixels * pixels) + far[f, k]
+            far = distance_term(offsets[f, k, 0], offsets[f, k, 1], window_px, step)
+            errors[f, k] = total / (channels * pixels * pixels) + far
