@@ -183,6 +183,24 @@ class HeightField(_ReadOnly):
     eye_mm: FloatArray | None
     metrics: Mapping[str, float] = field(default_factory=dict)
 
+    def points_mm(self, u: FloatArray, v: FloatArray, heights: FloatArray) -> FloatArray:
+        """(..., 3) where vertices at (u, v) with these heights lie; the three arrays broadcast."""
+        u, v, h = np.broadcast_arrays(u, v, heights)
+        plane = np.stack([u, v, np.full_like(h, self.lens.thickness_mm)], axis=-1)
+        if self.eye_mm is None:
+            upright: FloatArray = plane + np.stack([np.zeros_like(h), np.zeros_like(h), h], axis=-1)
+            return upright
+        rays = plane - self.eye_mm
+        lifted: FloatArray = self.eye_mm + np.exp(h / rays[..., 2])[..., None] * rays
+        return lifted
+
+    def facet_points_mm(self) -> FloatArray:
+        """(N, N, m + 1, m + 1, 3) where the facets' vertices lie."""
+        lens, m = self.lens, self.lens.microfacets
+        within = (np.arange(m + 1) / m - 0.5) * (lens.pitch_mm - lens.wall_mm)
+        centres = lens.facet_centres_mm()[:, :, None, None]
+        return self.points_mm(centres[..., 0] + within, centres[..., 1] - within[:, None], self.heights_mm)
+
 
 @dataclass(frozen=True)
 class Solid(_ReadOnly):

@@ -20,8 +20,8 @@ def edge_models(scene: Scene, offsets: FloatArray, maps: FloatArray) -> tuple[Fl
 
     lens, n = scene.lens, scene.lens.facets
     profiles, drifts = lenslets.edge_models(
-        lens.facet_centres_mm().reshape(-1, 2), *_flat(n, offsets, maps), scene.reference_eye_mm, lens.pitch_mm,
-        lens.thickness_mm, lens.gap_mm, lens.ior, EDGE_POINTS,
+        lens.facet_centres_mm().reshape(-1, 2), *_flat(n, offsets, maps), scene.reference_eye_mm,
+        lens.cells == "vertical", lens.pitch_mm, lens.thickness_mm, lens.gap_mm, lens.ior, EDGE_POINTS,
     )
     return profiles.reshape(*offsets.shape[:3], 4, EDGE_POINTS), drifts.reshape(*offsets.shape[:3], 4)
 

@@ -141,7 +141,7 @@ def _make(plan: Plan, folder: Path, worker: _Worker) -> RunData:
         _export(exporter, scene, solid, folder, worker)
     renders = {step.stage.type: _render(step, scene, solid, folder, worker) for step in plan.renderers}
     made = (candidates, assignment, height_field, rough, solid)
-    first = Assignment.pick(candidates, np.zeros_like(assignment.choice))
+    first = Assignment.pick(candidates, candidates.errors.argmin(axis=-1))
     metrics = worker.part("bounds", partial(_bounds, scene, first, assignment))
     metrics |= {name: value for artifact in made for name, value in artifact.metrics.items()}
     facts = manifest(plan, inputs, scene, metrics, _scores(scene, renders))

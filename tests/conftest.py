@@ -21,12 +21,17 @@ def registry() -> Registry:
 
 @pytest.fixture
 def toy_geometry(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The steps between stages, without optics or report: a prism for a solid, rematching that shifts candidates."""
+    """The steps between stages, without optics: a prism for a solid, rematching that shifts every candidate."""
     solid, rematch = ModuleType("magiclens.meshing.solid"), ModuleType("magiclens.rematch")
     vars(solid)["solid_from_heights"] = prism
     vars(rematch)["rematch"] = shifted
     monkeypatch.setitem(sys.modules, solid.__name__, solid)
     monkeypatch.setitem(sys.modules, rematch.__name__, rematch)
+
+
+@pytest.fixture
+def without_report(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs that are not about the report write none, which saves most of their time."""
     monkeypatch.setattr("magiclens.report.write.write_report", lambda data, folder: None)
 
 

@@ -64,16 +64,21 @@ def looked_up(source: FloatArray, size_mm: float, points: FloatArray) -> FloatAr
     return map_coordinates(source, [row, column], order=1, mode="nearest")
 
 
-def seen(source: FloatArray, lens: Lens, assignment: Assignment, pixels: int, turns: int = 0) -> FloatArray:
-    """(pixels, pixels): what shows if facets realise their transformations exactly, the lens turned so many times."""
-    c = ((np.arange(pixels) + 0.5) / pixels - 0.5) * lens.size_mm
-    q = turned(np.stack(np.meshgrid(c, -c), axis=-1), -turns)
+def seen_points(lens: Lens, assignment: Assignment, q: FloatArray) -> FloatArray:
+    """Source points (..., 2) seen at points q (..., 2) of the lens, mm, +y up, lens frame."""
     j = np.floor((q[..., 0] + lens.size_mm / 2) / lens.pitch_mm).astype(int)
     i = np.floor((lens.size_mm / 2 - q[..., 1]) / lens.pitch_mm).astype(int)
     centre = lens.facet_centres_mm()[i, j]
     p, (xx, xy, yy) = q - centre, np.moveaxis(assignment.maps[i, j], -1, 0)
-    spread = np.stack([xx * p[..., 0] + xy * p[..., 1], xy * p[..., 0] + yy * p[..., 1]], axis=-1)
-    return looked_up(source, lens.source_size_mm, turned(centre + assignment.offsets_mm[i, j] + spread, turns))
+    mapped = np.stack([xx * p[..., 0] + xy * p[..., 1], xy * p[..., 0] + yy * p[..., 1]], axis=-1)
+    return centre + assignment.offsets_mm[i, j] + mapped
+
+
+def seen(source: FloatArray, lens: Lens, assignment: Assignment, pixels: int, turns: int = 0) -> FloatArray:
+    """(pixels, pixels): what shows if facets realise their transformations exactly, the lens turned so many times."""
+    c = ((np.arange(pixels) + 0.5) / pixels - 0.5) * lens.size_mm
+    points = seen_points(lens, assignment, turned(np.stack(np.meshgrid(c, -c), axis=-1), -turns))
+    return looked_up(source, lens.source_size_mm, turned(points, turns))
 
 
 # rasters
@@ -288,6 +293,32 @@ def test_an_error_is_the_mean_squared_difference_of_display_values() -> None:
     difference = (shows - to_display(scene.views[0].target[..., 0])) ** 2
     errors = difference.reshape(3, TILE_PX, 3, TILE_PX).mean(axis=(1, 3))
     np.testing.assert_allclose(found.errors[..., 0], errors, rtol=0.1, atol=4e-4)
+
+
+def staircase(source: FloatArray, lens: Lens, assignment: Assignment, pixels: int, spread: float) -> FloatArray:
+    """(pixels, pixels): what flat micro-facets show; each its own patch, ``spread`` times as large as itself."""
+    c = ((np.arange(pixels) + 0.5) / pixels - 0.5) * lens.size_mm
+    q, cell = np.stack(np.meshgrid(c, -c), axis=-1), lens.pitch_mm / lens.microfacets
+    middle = (np.floor(q / cell) + 0.5) * cell
+    at_middles = seen_points(lens, assignment, middle)
+    return looked_up(source, lens.source_size_mm, at_middles + spread * (q - middle))
+
+
+@pytest.mark.parametrize("gap", [0.0, 60.0])
+def test_errors_are_judged_by_the_staircase_that_flat_microfacets_show(gap: float) -> None:
+    """Seen from far above, a flat micro-facet shows a patch as large as itself, and a little more by perspective."""
+    lens = small_lens(3, 3.0, source=24.0, microfacets=4, gap_mm=gap)
+    scene = Scene(lens, (grey_view(blotches(360, 8.0), blotches(3 * 16, 5.0, seed=4)),))
+    found = matched(Exhaustive(window="6mm", scales=(0.3, 0.6), acceptance=1.0), scene)
+    spread = 1 + (THICK / IOR + gap) / (ABOVE[2] - THICK)
+    tiles = to_display(scene.views[0].target[..., 0].astype(float))
+    for k in (0, 5):
+        chosen = Assignment.pick(found, np.full((3, 3), k))
+        light = staircase(scene.views[0].source[..., 0], lens, chosen, 3 * 32, spread)
+        shows = to_display(light.reshape(48, 2, 48, 2).mean(axis=(1, 3)))
+        errors = ((shows - tiles) ** 2).reshape(3, 16, 3, 16).mean(axis=(1, 3))
+        m2, r2 = (6 / 0.13) ** 2, (chosen.offsets_mm**2).sum(axis=-1) / 0.13**2
+        np.testing.assert_allclose(chosen.errors, errors + 1 / (m2 - r2) - 1 / m2, rtol=2e-3, atol=1e-5)
 
 
 # candidates

@@ -33,7 +33,7 @@ from toys import (
     registry_of,
 )
 
-pytestmark = pytest.mark.usefixtures("toy_geometry")
+pytestmark = pytest.mark.usefixtures("toy_geometry", "without_report")
 
 Runner = Callable[..., Run]
 

@@ -33,9 +33,8 @@ def anneal(
         return float(total_energy(choice, heights, errors, profiles, drifts, *terms).sum())
 
     # the start: everyone's best candidate at its best height
-    first, level = np.zeros((n, n), np.int64), np.zeros((n, n))
-    fixed = errors.copy()
-    fixed[..., 1:] = np.inf
+    first, level = errors.argmin(axis=-1), np.zeros((n, n))
+    fixed = np.where(np.arange(errors.shape[-1]) == first[..., None], errors, np.inf)
     for _ in range(options.sweeps):
         sweep(first, level, fixed, profiles, drifts, *terms, relief, 0.0, np.zeros((n, n)))
     before = float(total_energy(first, level, errors, profiles, drifts, *terms).sum())
@@ -43,7 +42,7 @@ def anneal(
     fall = options.temperature * (1 - np.arange(options.sweeps) / options.sweeps) ** 2
     after = cool(choice, heights, np.concatenate([fall, np.zeros(10)]))
     if after > before:
-        choice, after = first, before
+        choice, heights, after = first, level, before
     parts = total_energy(choice, heights, errors, profiles, drifts, *terms) / n**2
     return Assignment.pick(
         candidates,

@@ -21,7 +21,11 @@ def anneal(
     """See ``Metropolis.anneal``."""
     n = scene.lens.facets
     normals = unit_normals(central_slopes(scene, candidates.offsets_mm))
-    usable = (candidates.errors <= candidates.errors[..., :1] + options.acceptance).sum(axis=-1)
+    best = candidates.errors.min(axis=-1, keepdims=True)
+    good = candidates.errors <= best + options.acceptance
+    # each facet's usable candidates, best first: rematching leaves them out of order
+    order, usable = np.argsort(candidates.errors, axis=-1, kind="stable"), good.sum(axis=-1)
+    normals = np.take_along_axis(normals, order[..., None], axis=2)
     weights = np.array([options.alpha, options.beta, options.gamma])
     choice = np.zeros((n, n), np.int64)
     initial = lowest = lens_energy(normals, choice, weights)
@@ -41,7 +45,7 @@ def anneal(
         if gain < options.least_gain * initial:
             break
     metrics = {"energy_before": initial / n**2, "energy_after": lowest / n**2, "annealing_rounds": done + 1.0}
-    return Assignment.pick(candidates, choice, metrics)
+    return Assignment.pick(candidates, np.take_along_axis(order, choice[..., None], axis=2)[..., 0], metrics)
 
 
 def unit_normals(slopes: FloatArray) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -46,12 +47,13 @@ def iterate(
             "use a smaller window, a thicker lens or a smaller max_slope"
         )
     check_relief(heights, lens.relief_mm)
-    metrics = measures(lens, heights) | {
+    built = HeightField(lens, heights, None if lens.cells == "vertical" else scene.reference_eye_mm)
+    metrics = measures(built) | {
         "integration_rounds": done + 1.0,
         "integration_change_mm": change,
         "facets_at_slope_limit": float((clamped > 0).sum()),
     }
-    return HeightField(lens, heights, None if lens.cells == "vertical" else scene.reference_eye_mm, metrics)
+    return replace(built, metrics=metrics)
 
 
 def check_relief(heights: FloatArray, relief: float) -> None:

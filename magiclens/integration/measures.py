@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from magiclens.artifacts import FloatArray, Lens
+from magiclens.artifacts import FloatArray, HeightField
 
 
 def steps(heights: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -14,18 +14,25 @@ def steps(heights: FloatArray) -> tuple[FloatArray, FloatArray]:
     return right, below
 
 
-def measures(lens: Lens, heights: FloatArray) -> dict[str, float]:
-    """Steps, slopes and extent of a height field (N, N, k, k), mm and degrees."""
-    d = (lens.pitch_mm - lens.wall_mm) / lens.microfacets
-    gu = np.diff(heights, axis=3)[:, :, :-1, :] / d
-    gv = np.diff(heights, axis=2)[:, :, :, :-1] / d
-    slopes = np.degrees(np.arctan(np.hypot(gu, gv)))
-    jumps = np.concatenate([s.ravel() for s in steps(heights)]) if lens.facets > 1 else np.zeros(1)
+def slopes_deg(points: FloatArray) -> FloatArray:
+    """Angles between +z and the normals of all triangles of facets (N, N, k, k, 3), degrees; see ``Solid.grid``."""
+    right, down = np.diff(points, axis=3), np.diff(points, axis=2)
+    pairs = ((right[:, :, 1:], down[..., :-1, :]), (right[:, :, :-1], down[..., 1:, :]))
+    normals = np.concatenate([np.cross(d, r).reshape(-1, 3) for r, d in pairs])
+    angles: FloatArray = np.degrees(np.arctan2(np.hypot(normals[:, 0], normals[:, 1]), normals[:, 2]))
+    return angles
+
+
+def measures(built: HeightField) -> dict[str, float]:
+    """Steps, slopes and extent of a height field, mm and degrees."""
+    jumps = np.concatenate([s.ravel() for s in steps(built.heights_mm)]) if built.lens.facets > 1 else np.zeros(1)
+    points = built.facet_points_mm()
+    slopes = slopes_deg(points)
     return {
         "step_mean_mm": float(jumps.mean()),
         "step_max_mm": float(jumps.max()),
         "slope_mean_deg": float(slopes.mean()),
         "slope_max_deg": float(slopes.max()),
-        "z_min_mm": float(lens.thickness_mm + heights.min()),
-        "z_max_mm": float(lens.thickness_mm + heights.max()),
+        "z_min_mm": float(points[..., 2].min()),
+        "z_max_mm": float(points[..., 2].max()),
     }

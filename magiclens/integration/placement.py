@@ -12,12 +12,15 @@ SWEEPS = 60
 
 
 def edge_profiles(shapes: FloatArray) -> FloatArray:
-    """(N, N, 1, 4, Q) float32: the edges of shapes (N, N, k, k), averaged to Q points, as in ``optics.walls``."""
+    """(N, N, 1, 4, Q) float32: the edges of shapes (N, N, k, k), interpolated at Q points, as in ``optics.walls``."""
     edges = np.zeros((*shapes.shape[:2], 4, shapes.shape[2]))
     edges[:, :, RIGHT], edges[:, :, LEFT] = shapes[:, :, ::-1, -1], shapes[:, :, ::-1, 0]
     edges[:, :, UP], edges[:, :, DOWN] = shapes[:, :, 0, :], shapes[:, :, -1, :]
-    parts = np.array_split(np.arange(shapes.shape[2]), EDGE_POINTS)
-    return np.stack([edges[..., p].mean(axis=-1) for p in parts], axis=-1)[:, :, None].astype(np.float32)
+    k = shapes.shape[2]
+    at = (np.arange(EDGE_POINTS) + 0.5) / EDGE_POINTS * (k - 1)
+    weights = np.maximum(1 - np.abs(np.arange(k)[:, None] - at), 0)
+    profiles: FloatArray = (edges @ weights)[:, :, None].astype(np.float32)
+    return profiles
 
 
 def place_for_light(
@@ -26,15 +29,14 @@ def place_for_light(
 ) -> FloatArray:
     """(N, N) heights of facets that lose least light, by coordinate descent on a convex energy from ``levels``.
 
-    shapes: (N, N, k, k) mm, zero mean. loss, even: see ``optics.walls.settle``. Nothing leaves +-relief.
+    shapes: (N, N, k, k) mm, zero mean. loss, even: see ``optics.walls.settle``. No edge leaves +-relief.
     """
     n = scene.lens.facets
     _, drifts = edge_models(scene, assignment.offsets_mm[:, :, None], assignment.maps[:, :, None])
     profiles = edge_profiles(shapes)
-    room = relief - (np.abs(shapes).max() - np.abs(profiles).max())
     levels, choice, nothing = levels.copy(), np.zeros((n, n), np.int64), np.zeros((n, n))
     for _ in range(SWEEPS):
-        moved = sweep(choice, levels, nothing[..., None], profiles, drifts, loss, even, 1e-5, room, 0.0, nothing)
+        moved = sweep(choice, levels, nothing[..., None], profiles, drifts, loss, even, 1e-5, relief, 0.0, nothing)
         if moved < 1e-4:
             break
     return levels

@@ -23,35 +23,33 @@ if TYPE_CHECKING:
 SETTLING = 3
 """Rounds after which `light` placement keeps its levels: its energy has kinks, at which it would chatter."""
 
-MARGIN = 0.98
-"""Part of the relief that levels may use: lenslets still change a little once levels are kept."""
-
 
 def integrate(options: Poisson, scene: Scene, assignment: Assignment, progress: Progress) -> HeightField:
     """See ``Poisson.integrate``."""
     n, k = scene.lens.facets, scene.lens.microfacets + 1
     loss = cost_of_lost_light(scene) / scene.lens.pitch_mm
-    room = MARGIN * scene.lens.relief_mm
+    relief = scene.lens.relief_mm
     levels: FloatArray = np.zeros((n, n))
     screening = options.screening
 
     def solve(rows: FloatArray, columns: FloatArray, _: FloatArray, done: int) -> FloatArray:
         nonlocal levels, screening
         shapes = lenslets(rows, columns).reshape(n, n, k, k)
-        check_relief(shapes, scene.lens.relief_mm)
+        check_relief(shapes, relief)
         if options.placement == "steps" or done < SETTLING:
-            levels, screening = place(shapes, screening, room)
+            levels, screening = place(shapes, screening, relief)
         if options.placement == "light" and done < SETTLING:
-            levels = place_for_light(scene, assignment, shapes, levels, loss, options.step_weight, room)
-        return shapes + levels[:, :, None, None]
+            levels = place_for_light(scene, assignment, shapes, levels, loss, options.step_weight, relief)
+        room = relief - np.abs(shapes).max(axis=(2, 3))
+        return shapes + np.clip(levels, -room, room)[:, :, None, None]
 
     built = iterate(scene, assignment, solve, options.rounds, options.tolerance, progress)
     return built if options.step_limit is None else _without_cliffs(built, options.step_limit)
 
 
 def _without_cliffs(built: HeightField, limit: float) -> HeightField:
-    heights = limit_steps(built.heights_mm, limit)
-    return replace(built, heights_mm=heights, metrics={**built.metrics, **measures(built.lens, heights)})
+    flatter = replace(built, heights_mm=limit_steps(built.heights_mm, limit))
+    return replace(flatter, metrics={**built.metrics, **measures(flatter)})
 
 
 @cache

@@ -107,6 +107,7 @@ def match(options: Exhaustive, scene: Scene, progress: Progress) -> Candidates:
         fine, channels.source, 1 / channels.source_px_mm, centres, lens.pitch_mm, lens.microfacets, flat_scale(scene),
         2 * window / step, step, DISPLAY, pool.errors, pool.offsets, pool.maps,
     )
+    pool.drop(options.acceptance)
     pool.sort()
     return pool.candidates(lens, options.candidates)
 

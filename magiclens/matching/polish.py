@@ -144,7 +144,7 @@ def polish(
                 spread_x = 0.5 * pitch * (abs(q[2]) + abs(q[3]))
                 spread_y = 0.5 * pitch * (abs(q[3]) + abs(q[4]))
                 inside = (
-                    abs(q[0]) <= window and abs(q[1]) <= window
+                    not (isotropic and q[2] <= 0.0) and abs(q[0]) <= window and abs(q[1]) <= window
                     and abs(cx + q[0]) + spread_x <= edge and abs(cy + q[1]) + spread_y <= edge
                     and reachable(cx, cy, q[0], q[1], q[2], q[3], q[4], 0.5 * pitch, eye, depth, gap, ior, cos_limit)
                 )

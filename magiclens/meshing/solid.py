@@ -32,10 +32,9 @@ def solid_from_heights(heights: HeightField) -> Solid:
     lines = grid_lines(lens)
     h = height_grid(heights)
     u, v = np.meshgrid(lines, -lines)
-    plane = np.stack([u, v, np.full_like(u, lens.thickness_mm)], axis=-1)
-    top = _lift(plane, h, eye)
+    top = heights.points_mm(u, v, h)
     rim = _rim(len(lines))
-    floor = _drop(plane.reshape(-1, 3)[rim], eye)
+    floor = _drop(heights.points_mm(u, v, np.zeros_like(h)).reshape(-1, 3)[rim], eye)
     vertices = np.concatenate([top.reshape(-1, 3), floor, floor.mean(axis=0, keepdims=True)])
     first = len(lines) ** 2
     faces = np.concatenate([_top_faces(len(lines)), _side_faces(rim, first), _floor_faces(rim, first)])
@@ -47,13 +46,6 @@ def volume(solid: Solid) -> float:
     """Volume in mm^3 (divergence theorem), positive for outward normals."""
     a, b, c = (solid.vertices[solid.faces[:, k]] for k in range(3))
     return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6)
-
-
-def _lift(plane: FloatArray, h: FloatArray, eye: FloatArray | None) -> FloatArray:
-    if eye is None:
-        return plane + np.stack([np.zeros_like(h), np.zeros_like(h), h], axis=-1)
-    lifted: FloatArray = eye + np.exp(-h / (eye[2] - plane[0, 0, 2]))[..., None] * (plane - eye)
-    return lifted
 
 
 def _drop(plane: FloatArray, eye: FloatArray | None) -> FloatArray:

@@ -11,23 +11,25 @@ from magiclens.optics.refraction import facet_normal, sine_in_slab
 
 
 @njit(cache=True)
-def _at(cx, cy, px, py, offset, m, eye, depth, gap, ior, out):
-    """Slopes (out[0:2]) and inside drift (out[2:4], mm sideways per mm down) at (px, py) from a facet's centre."""
+def _at(cx, cy, px, py, offset, m, eye, vertical, depth, gap, ior, out):
+    """dh/du, dh/dv (out[0:2]) and drift from the wall (out[2:4], mm per mm down) at (px, py) from a facet's centre."""
     x, y = cx + px, cy + py
     sx, sy = cx + offset[0] + m[0] * px + m[1] * py, cy + offset[1] + m[1] * px + m[2] * py
     nx, ny, nz = facet_normal(eye[0], eye[1], eye[2], x, y, depth, sx, sy, gap, ior)
-    out[0], out[1] = -nx / nz, -ny / nz
+    far = eye[2] - depth
+    lean_x, lean_y = (0.0, 0.0) if vertical else ((x - eye[0]) / far, (y - eye[1]) / far)
+    along = nx * lean_x + ny * lean_y - nz
+    out[0], out[1] = nx / along, ny / along
     rx, ry = sx - x, sy - y
     d = math.sqrt(rx * rx + ry * ry)
     s = sine_in_slab(d, depth, gap, ior)
     t = s / math.sqrt(1.0 - s * s) / d if d > 0.0 else 0.0
-    # relative to the eye ray, along which the wall stands
-    out[2] = rx * t - (x - eye[0]) / (eye[2] - depth)
-    out[3] = ry * t - (y - eye[1]) / (eye[2] - depth)
+    # relative to the wall, which stands along the eye ray or upright
+    out[2], out[3] = rx * t - lean_x, ry * t - lean_y
 
 
 @njit(cache=True, parallel=True)
-def edge_models(centres, offsets, maps, eye, pitch, depth, gap, ior, points):
+def edge_models(centres, offsets, maps, eye, vertical, pitch, depth, gap, ior, points):
     """Edge profiles (F, K, 4, Q) float32, mm, of zero-mean lenslets, and outward drifts (F, K, 4) float32.
 
     centres: (F, 2) mm. offsets: (F, K, 2) mm, maps: (F, K, 3), as in ``artifacts.Candidates``. Slopes are taken at the
@@ -45,7 +47,7 @@ def edge_models(centres, offsets, maps, eye, pitch, depth, gap, ior, points):
             for e in range(5):
                 px = half if e == 0 else (-half if e == 2 else 0.0)
                 py = half if e == 1 else (-half if e == 3 else 0.0)
-                _at(cx, cy, px, py, offsets[f, k], maps[f, k], eye, depth, gap, ior, s[e])
+                _at(cx, cy, px, py, offsets[f, k], maps[f, k], eye, vertical, depth, gap, ior, s[e])
             gu, gv = s[4, 0], s[4, 1]
             guu, gvv = (s[0, 0] - s[2, 0]) / pitch, (s[1, 1] - s[3, 1]) / pitch
             guv = 0.5 * ((s[1, 0] - s[3, 0]) + (s[0, 1] - s[2, 1])) / pitch
@@ -69,6 +71,6 @@ def centre_slopes(centres, offsets, maps, eye, depth, gap, ior):
     for f in prange(len(offsets)):
         s = np.zeros(4)
         for k in range(offsets.shape[1]):
-            _at(centres[f, 0], centres[f, 1], 0.0, 0.0, offsets[f, k], maps[f, k], eye, depth, gap, ior, s)
+            _at(centres[f, 0], centres[f, 1], 0.0, 0.0, offsets[f, k], maps[f, k], eye, True, depth, gap, ior, s)
             out[f, k, 0], out[f, k, 1] = s[0], s[1]
     return out

@@ -73,8 +73,9 @@ def sweep(choice, heights, errors, profiles, drifts, loss, even, screening, reli
     """One heat-bath sweep over all facets, checkerboard order: each draws a candidate, and takes its best height.
 
     choice: (N, N) int64 and heights: (N, N) mm, updated in place. errors: (N, N, K), inf: no candidate. profiles:
-    (N, N, K, 4, Q) mm. drifts: (N, N, K, 4) >= 0. dice: (N, N) in [0, 1). Candidate k is drawn with probability
-    proportional to exp(-E_k / temperature); temperature 0 takes the best. Returns the change of the heights, mm.
+    (N, N, K, 4, Q) mm; candidates that rise more than relief are out. drifts: (N, N, K, 4) >= 0. dice: (N, N) in
+    [0, 1). Candidate k is drawn with probability proportional to exp(-E_k / temperature); temperature 0 takes the best.
+    Returns the change of the heights, mm.
     """
     n, _, labels = errors.shape
     moved = np.zeros(n)
@@ -90,6 +91,8 @@ def sweep(choice, heights, errors, profiles, drifts, loss, even, screening, reli
                     energy[k] = np.inf
                     if errors[i, j, k] < np.inf and errors[i, j, k] < best + 20.0 * temperature:
                         reach = relief - np.abs(profiles[i, j, k]).max()
+                        if reach < 0.0:
+                            continue
                         level[k], cost = settle(
                             profiles[i, j, k], drifts[i, j, k], others, inward, loss, even, screening, -reach, reach
                         )
