@@ -330,6 +330,12 @@ def busy_candidates(eye: Eye = ABOVE) -> tuple[Lens, Candidates]:
     return lens, matched(Exhaustive(window="14mm", candidates=25), scene)
 
 
+def test_places_without_a_reachable_patch_stay_empty() -> None:
+    """Their errors are infinite; a map of zeros is nobody's."""
+    _, found = busy_candidates((100.0, 200.0, THICK + 500.0))
+    assert np.abs(found.maps[np.isfinite(found.errors)]).max(axis=-1).min() > 0
+
+
 def test_candidates_are_sorted_and_empty_places_come_last() -> None:
     _, found = busy_candidates()
     assert found.errors.shape == (4, 4, 25)

@@ -168,7 +168,7 @@ def shown(lens: Lens, solid: Solid, source: FloatArray, **view: object) -> Float
 
 
 def test_row_0_shows_plus_y_and_column_0_minus_x() -> None:
-    lens = small_lens(4, source=12.0)
+    lens = small_lens(4, source=14.0)
     seen = shown(lens, tilted(lens, 0.0, 0.0, ABOVE), ramps())
     red, green = seen[..., 0] / seen[..., 2], seen[..., 1] / seen[..., 2]
     assert (np.diff(red[4:-4, 4:-4], axis=1) > 0).all()
@@ -430,7 +430,7 @@ def test_every_facet_shows_the_patch_it_was_assigned(eye: Eye, cells: str, gap: 
         quadratic = np.column_stack([np.ones(len(p)), p, p[:, 0] ** 2, p[:, 0] * p[:, 1], p[:, 1] ** 2])
         fit = np.linalg.lstsq(quadratic, seen[:, :2], rcond=None)[0]
         np.testing.assert_allclose(fit[0] - centres[i, j], wanted.offsets_mm[i, j], atol=atol)
-        np.testing.assert_allclose(fit[1:3], [[xx[i, j], xy[i, j]], [xy[i, j], yy[i, j]]], atol=0.03)
+        np.testing.assert_allclose(fit[1:3], [[xx[i, j], xy[i, j]], [xy[i, j], yy[i, j]]], atol=3 * atol)
 
 
 def test_a_free_mesh_is_for_other_renderers() -> None:

@@ -20,7 +20,8 @@ DISPLAY = to_display(np.linspace(0.0, 1.0, 4097)).astype(np.float32)
 """Display values of linear light in 4096 equal steps, the ``table`` that ``judge`` looks them up in."""
 
 
-@njit(cache=True, parallel=True, fastmath=True)
+# not plain fastmath, which takes infinity, the sign of an empty place, for impossible
+@njit(cache=True, parallel=True, fastmath={"contract", "reassoc", "arcp"})
 def judge(tiles, source, per_mm, centres, pitch, microfacets, spread, window_px, step, table, errors, offsets, maps):
     """Replace ``errors`` (F, K) by mean squared differences of display values plus the distance term; inf stays.
 

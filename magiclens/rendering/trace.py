@@ -61,8 +61,9 @@ def _matrix(x: FloatArray, y: FloatArray, weight: FloatArray, rows: int, columns
     """Bilinear weights times transmission; x, y (world frame, mm, +y up) and weight are (R, R, S)."""
     from scipy.sparse import csr_array
 
-    px = np.clip(x * per_mm + columns / 2 - 0.5, 0, columns - 1.001)
-    py = np.clip(-y * per_mm + rows / 2 - 0.5, 0, rows - 1.001)
+    px, py = x * per_mm + columns / 2 - 0.5, -y * per_mm + rows / 2 - 0.5
+    weight = weight * ((abs(px - columns / 2 + 0.5) <= columns / 2) & (abs(py - rows / 2 + 0.5) <= rows / 2))
+    px, py = np.clip(px, 0, columns - 1.001), np.clip(py, 0, rows - 1.001)
     ix, iy = px.astype(np.int32), py.astype(np.int32)
     fx, fy = px - ix, py - iy
     first = iy * columns + ix
@@ -102,6 +103,20 @@ def _cell(lines, value, descending):
         else:
             hi = mid
     return lo
+
+
+@njit(cache=True)
+def _entry(us, vs, u0, v0, du, dv):
+    """Fraction of the segment from (u0, v0) at which it enters the grid's rectangle; 0 from within, 2 if it never does."""
+    first, last = 0.0, 1.0
+    for low, high, start, run in ((us[0], us[-1], u0, du), (vs[-1], vs[0], v0, dv)):
+        if run == 0.0:
+            if start < low or start > high:
+                return 2.0
+            continue
+        a, b = (low - start) / run, (high - start) / run
+        first, last = max(first, min(a, b)), min(last, max(a, b))
+    return first if first <= last else 2.0
 
 
 @njit(cache=True)
@@ -192,9 +207,15 @@ def _follow(us, vs, ws, points, cut_eye, plane, vertical, top, eye, qx, qy, qz, 
     x, y, z = eye[0] + dx * rise, eye[1] + dy * rise, top + 1e-3
     inside, weight, skip = False, 1.0, 0
     u0, v0, w0 = _to_grid(x, y, z, cut_eye, plane, vertical)
-    if u0 < us[0] or u0 > us[-1] or v0 > vs[0] or v0 < vs[-1]:
+    u1, v1, w1 = _to_grid(x - dx * z / dz, y - dy * z / dz, 0.0, cut_eye, plane, vertical)
+    at = _entry(us, vs, u0, v0, u1 - u0, v1 - v0)
+    if at > 1.0:
         return
+    u0, v0, w0 = u0 + at * (u1 - u0), v0 + at * (v1 - v0), w0 + at * (w1 - w0)
+    x, y, z = _from_grid(u0, v0, w0, cut_eye, plane, vertical)
     r, c = _cell(vs, v0, True), _cell(us, u0, False)
+    if w0 < max(ws[r, c], ws[r, c + 1], ws[r + 1, c], ws[r + 1, c + 1]) and at > 0.0:
+        return  # it meets the slab's side
     for _ in range(MAX_EVENTS):
         if dz == 0.0:
             return
@@ -251,8 +272,11 @@ def _picture(hits, source, per_mm):
                 weight = hits[i, j, k, 2] / samples
                 if weight == 0.0:
                     continue
-                x = min(max(hits[i, j, k, 0] * per_mm + 0.5 * columns - 0.5, 0.0), columns - 1.001)
-                y = min(max(-hits[i, j, k, 1] * per_mm + 0.5 * rows - 0.5, 0.0), rows - 1.001)
+                x, y = hits[i, j, k, 0] * per_mm, -hits[i, j, k, 1] * per_mm
+                if abs(x) > 0.5 * columns or abs(y) > 0.5 * rows:
+                    continue
+                x = min(max(x + 0.5 * columns - 0.5, 0.0), columns - 1.001)
+                y = min(max(y + 0.5 * rows - 0.5, 0.0), rows - 1.001)
                 ix, iy = int(x), int(y)
                 fx, fy = x - ix, y - iy
                 for ch in range(channels):
