@@ -107,7 +107,7 @@ def _cell(lines, value, descending):
 
 @njit(cache=True)
 def _entry(us, vs, u0, v0, du, dv):
-    """Fraction of the segment from (u0, v0) at which it enters the grid's rectangle; 0 from within, 2 if it never does."""
+    """Fraction of a segment at which it enters the grid's rectangle; 0 from within, 2 if it never does."""
     first, last = 0.0, 1.0
     for low, high, start, run in ((us[0], us[-1], u0, du), (vs[-1], vs[0], v0, dv)):
         if run == 0.0:
