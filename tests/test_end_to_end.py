@@ -8,8 +8,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from magiclens import run_spec
+from magiclens import load_plan, run_spec
+from magiclens.artifacts import Assignment
 from magiclens.images import read_image, score
+from magiclens.integration.poisson import Poisson
+from magiclens.meshing.solid import solid_from_heights
+from magiclens.rendering.mitsuba import Mitsuba
+from magiclens.rendering.tracer import Tracer
 
 SPECS = Path(__file__).parent.parent / "specs"
 SMALL = ["lens.facets=12", "lens.microfacets=16", "lens.size=40mm", "pipeline.finisher={type: pymeshlab}"]
@@ -86,3 +91,16 @@ def test_a_colour_picture_comes_out_in_colour(tmp_path: Path) -> None:
     assert picture.shape == (128, 128, 3)
     target = run.data.scene.views[0].target
     assert score(picture, target).psnr_db > 3 + score(picture[..., ::-1], target).psnr_db
+
+
+def test_on_a_smooth_lens_the_tracer_and_mitsuba_are_alike() -> None:
+    """One lenslet over the whole slab: no walls, so only Mitsuba's noise and its stray light are left."""
+    one = ["lens.facets=1", "lens.microfacets=64", "lens.size=30mm", "scenario.source={type: circles, size: 40mm}"]
+    scene = load_plan(SPECS / "single.yaml", one).scene()
+    offset, magnified = np.array([[[1.0, 0.5]]]), np.array([[[0.8, 0.05, 0.9]]])
+    gentle = Assignment(np.zeros((1, 1), np.int64), offset, magnified, np.zeros((1, 1)))
+    solid = solid_from_heights(Poisson().integrate(scene, gentle))
+    (ours,) = Tracer(resolution=128, samples=6).render(scene, solid)
+    (theirs,) = Mitsuba(resolution=128, samples=1024).render(scene, solid)
+    assert ours.std() > 0.1
+    assert score(theirs, ours).psnr_db > 35

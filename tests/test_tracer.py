@@ -405,11 +405,12 @@ def test_a_tall_facet_far_away_darkens_nothing(cut: Eye | None) -> None:
 
 
 @pytest.mark.parametrize("eye", [ABOVE, ASIDE], ids=["eye above", "eye aside"])
-@pytest.mark.parametrize(("cells", "gap", "atol"), [("eye", 0.0, 0.01), ("eye", 60.0, 0.01), ("vertical", 0.0, 0.02)])
+@pytest.mark.parametrize(("cells", "gap", "atol"), [("eye", 0.0, 0.01), ("eye", 60.0, 0.01), ("vertical", 0.0, 0.03)])
 def test_every_facet_shows_the_patch_it_was_assigned(eye: Eye, cells: str, gap: float, atol: float) -> None:
     """Source points seen across a facet, fitted by offset and map, are those of its transformation.
 
-    Exact only for small facets: a transformation's slopes have a curl of second order, which no surface can have.
+    Exact only for small facets: a transformation's slopes have a curl of second order, which no surface can have, and
+    with vertical cells under a slanting eye even one of first order.
     """
     n, per, rng = 8, 72, np.random.default_rng(0)
     lens = small_lens(n, 2.5, microfacets=24, gap_mm=gap, cells=cells)
