@@ -62,15 +62,15 @@ def assigned(offsets: FloatArray, maps: FloatArray) -> Assignment:
     n = np.shape(offsets)[0]
     return Assignment(
         np.zeros((n, n), np.int64),
-        np.array(offsets, np.float32),
-        np.array(np.broadcast_to(maps, (n, n, 3)), np.float32),
+        np.array(offsets, np.float32, order="C"),
+        np.array(np.broadcast_to(maps, (n, n, 3)), np.float32, order="C"),
         np.zeros((n, n), np.float32),
     )
 
 
 def choices(offsets: FloatArray, maps: FloatArray, errors: FloatArray) -> Candidates:
     """Candidates from offsets (N, N, K, 2) mm, maps (N, N, K, 3) and errors (N, N, K)."""
-    return Candidates(*(np.array(a, np.float32) for a in (offsets, maps, errors)))
+    return Candidates(*(np.array(a, np.float32, order="C") for a in (offsets, maps, errors)))
 
 
 def surface(lens: Lens, heights: FloatArray, eye: Eye | None = ABOVE) -> HeightField:

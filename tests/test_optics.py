@@ -151,7 +151,7 @@ def test_without_a_gap_the_ray_in_the_slab_is_straight() -> None:
 def test_central_slopes_show_the_patches_centres(offset: tuple[float, float], gap: float) -> None:
     scene = blank_scene(small_lens(gap_mm=gap), EYES[1])
     centres = scene.lens.facet_centres_mm()
-    slopes = central_slopes(scene, np.broadcast_to(offset, (4, 4, 1, 2)))
+    slopes = central_slopes(scene, np.full((4, 4, 1, 2), offset))
     for i, j in np.ndindex(4, 4):
         normal = np.append(-slopes[i, j, 0], 1.0)
         top = np.append(centres[i, j], THICK)
