@@ -64,7 +64,7 @@ class Integrator(Stage):
 
     @abstractmethod
     def integrate(self, scene: Scene, assignment: Assignment, progress: Progress = silent) -> HeightField:
-        """A height field within the lens's relief and slope limits. Raises InputError naming facets that cannot be."""
+        """A height field within the lens's relief and slope limits. Raises StageError naming a facet that cannot be."""
 
 
 class Finisher(Stage):

@@ -18,7 +18,7 @@ from magiclens.optics.refraction import facet_normal
 
 @njit(cache=True)
 def reachable(cx, cy, rx, ry, xx, xy, yy, half, eye, depth, gap, ior, cos_limit):
-    """Can a facet show this patch with slopes below the limit? Checked at its centre and its four corners.
+    """Can a facet show this patch with slopes below the limit, facing the eye? Checked at its centre and its four corners.
 
     (cx, cy): facet centre, (rx, ry): offset, (xx, xy, yy): map, half: half the pitch; mm, image frame (y down).
     eye: (x, y down, z). depth: of the reference plane above the slab's bottom. cos_limit: cosine of the slope limit.
@@ -27,8 +27,10 @@ def reachable(cx, cy, rx, ry, xx, xy, yy, half, eye, depth, gap, ior, cos_limit)
         px = 0.0 if k == 4 else (half if k & 1 else -half)
         py = 0.0 if k == 4 else (half if k & 2 else -half)
         sx, sy = cx + rx + xx * px + xy * py, cy + ry + xy * px + yy * py
-        n = facet_normal(eye[0], eye[1], eye[2], cx + px, cy + py, depth, sx, sy, gap, ior)
-        if n[2] < cos_limit:
+        x, y = cx + px, cy + py
+        n = facet_normal(eye[0], eye[1], eye[2], x, y, depth, sx, sy, gap, ior)
+        faces_eye = n[0] * (eye[0] - x) + n[1] * (eye[1] - y) + n[2] * (eye[2] - depth) > 0.0
+        if n[2] < cos_limit or not faces_eye:
             return False
     return True
 
@@ -48,7 +50,8 @@ def _places(first, skip, stride, phases, indices):
         indices[k] = (first + k * skip) // stride
 
 
-@njit(cache=True, fastmath=True)
+# not plain fastmath: the limit is infinite until a bucket has a candidate
+@njit(cache=True, fastmath={"contract", "reassoc", "arcp"})
 def _difference(tile, raster, phase_y, at_y, phase_x, at_x, n, limit):
     """Sum of squared differences of a tile against the raster, n offsets to the right; stops once above the limit."""
     channels, pixels, _ = tile.shape
