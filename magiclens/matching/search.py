@@ -18,7 +18,7 @@ from magiclens.optics.refraction import facet_normal
 
 @njit(cache=True)
 def reachable(cx, cy, rx, ry, xx, xy, yy, half, eye, depth, gap, ior, cos_limit):
-    """Can a facet show this patch with slopes below the limit, facing the eye? Checked at its centre and its four corners.
+    """Can a facet show this patch, facing the eye and below the slope limit? Checked at its centre and four corners.
 
     (cx, cy): facet centre, (rx, ry): offset, (xx, xy, yy): map, half: half the pitch; mm, image frame (y down).
     eye: (x, y down, z). depth: of the reference plane above the slab's bottom. cos_limit: cosine of the slope limit.
