@@ -319,7 +319,7 @@ def test_the_schema_is_draft_7_and_all_its_references_lead_somewhere(schema: dic
 
 @pytest.mark.parametrize("path", SPECS, ids=lambda p: p.name)
 def test_the_schema_accepts_the_specs_in_the_repository(path: Path, schema: dict[str, Any]) -> None:
-    Draft7Validator(schema).validate(read_document(path).data)
+    assert list(Draft7Validator(schema).iter_errors(read_document(path).data)) == []
 
 
 @pytest.mark.parametrize("path", SPECS, ids=lambda p: p.name)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from magiclens.artifacts import Assignment, Candidates, FloatArray, IntArray, Scene
+from magiclens.artifacts import Assignment, Candidates, Scene
 from magiclens.facets import cost_of_lost_light, edge_models
 from magiclens.optics.walls import sweep, total_energy
 from magiclens.stages import Progress
@@ -26,12 +26,6 @@ def anneal(
     terms = (loss, options.step_weight, options.screening)
     relief = scene.lens.relief_mm
 
-    def cool(choice: IntArray, heights: FloatArray, temperatures: FloatArray) -> float:
-        for done, temperature in enumerate(temperatures):
-            sweep(choice, heights, errors, profiles, drifts, *terms, relief, temperature, rng.random((n, n)))
-            progress((done + 1) / len(temperatures))
-        return float(total_energy(choice, heights, errors, profiles, drifts, *terms).sum())
-
     # the start: everyone's best candidate at its best height
     first, level = errors.argmin(axis=-1), np.zeros((n, n))
     fixed = np.where(np.arange(errors.shape[-1]) == first[..., None], errors, np.inf)
@@ -40,7 +34,11 @@ def anneal(
     before = float(total_energy(first, level, errors, profiles, drifts, *terms).sum())
     choice, heights = first.copy(), level.copy()
     fall = options.temperature * (1 - np.arange(options.sweeps) / options.sweeps) ** 2
-    after = cool(choice, heights, np.concatenate([fall, np.zeros(10)]))
+    temperatures = np.concatenate([fall, np.zeros(10)])
+    for done, temperature in enumerate(temperatures):
+        sweep(choice, heights, errors, profiles, drifts, *terms, relief, temperature, rng.random((n, n)))
+        progress((done + 1) / len(temperatures))
+    after = float(total_energy(choice, heights, errors, profiles, drifts, *terms).sum())
     if after > before:
         choice, heights, after = first, level, before
     parts = total_energy(choice, heights, errors, profiles, drifts, *terms) / n**2

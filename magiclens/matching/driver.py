@@ -12,7 +12,7 @@ from magiclens.artifacts import Candidates, FloatArray, Lens, Scene
 from magiclens.errors import InputError
 from magiclens.matching import raster as rasters
 from magiclens.matching.channels import Channels, stack_channels
-from magiclens.matching.judge import DISPLAY, judge
+from magiclens.matching.judge import judge
 from magiclens.matching.polish import blur_levels, polish
 from magiclens.matching.search import search
 from magiclens.stages import Progress
@@ -105,7 +105,7 @@ def match(options: Exhaustive, scene: Scene, progress: Progress) -> Candidates:
     pool.drop(options.acceptance)
     judge(
         fine, channels.source, 1 / channels.source_px_mm, centres, lens.pitch_mm, lens.microfacets, flat_scale(scene),
-        2 * window / step, step, DISPLAY, pool.errors, pool.offsets, pool.maps,
+        window, step, rasters.DISPLAY, pool.errors, pool.offsets, pool.maps,
     )
     pool.drop(options.acceptance)
     pool.sort()

@@ -11,25 +11,23 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from magiclens.images import to_display
 from magiclens.matching.search import distance_term
 
 SAMPLES = 2
 """Source look-ups per side of a pixel."""
-DISPLAY = to_display(np.linspace(0.0, 1.0, 4097)).astype(np.float32)
-"""Display values of linear light in 4096 equal steps, the ``table`` that ``judge`` looks them up in."""
 
 
 # not plain fastmath, which takes infinity, the sign of an empty place, for impossible
 @njit(cache=True, parallel=True, fastmath={"contract", "reassoc", "arcp"})
-def judge(tiles, source, per_mm, centres, pitch, microfacets, spread, window_px, step, table, errors, offsets, maps):
+def judge(tiles, source, per_mm, centres, pitch, microfacets, spread, window, step, table, errors, offsets, maps):
     """Replace ``errors`` (F, K) by mean squared differences of display values plus the distance term; inf stays.
 
     tiles: (F, C, P, P) display values. source: (C, H, W) linear light. spread: mm of the source seen per mm of a flat
-    facet. window_px, step: see ``distance_term``. offsets (F, K, 2), maps (F, K, 3): image frame (y down), mm.
+    facet. window, step: see ``distance_term``. offsets (F, K, 2), maps (F, K, 3): image frame (y down), mm.
     """
     channels, pixels = tiles.shape[1], tiles.shape[2]
     height, width = source.shape[1], source.shape[2]
+    scale = (len(table) - 1) / (SAMPLES * SAMPLES)
     cell, sub = pitch / microfacets, pitch / (pixels * SAMPLES)
     for f in prange(len(tiles)):
         light = np.zeros(channels, np.float32)
@@ -56,7 +54,7 @@ def judge(tiles, source, per_mm, centres, pitch, microfacets, spread, window_px,
                         low = source[c, iy + 1, ix] + (source[c, iy + 1, ix + 1] - source[c, iy + 1, ix]) * fx
                         light[c] += top + (low - top) * fy
                 for c in range(channels):
-                    seen = table[int(light[c] * (4096.0 / (SAMPLES * SAMPLES)) + 0.5)]
+                    seen = table[int(light[c] * scale + 0.5)]
                     total += (seen - tiles[f, c, p // pixels, p % pixels]) ** 2
-            far = distance_term(offsets[f, k, 0], offsets[f, k, 1], window_px, step)
+            far = distance_term(offsets[f, k, 0], offsets[f, k, 1], window, step)
             errors[f, k] = total / (channels * pixels * pixels) + far

@@ -122,7 +122,6 @@ def polish(
     tiles: (F, C, P, P) display values. levels: (L, C, H, W), see ``blur_levels``; widths: (L,) mm. All candidates
     (polished or not) get their error at the sub-pixel position, so that they can be compared.
     """
-    window_px = 2.0 * window / step_mm
     px = pitch / tiles.shape[2]
     edge = 0.5 * levels.shape[3] / per_mm
     for f in prange(len(tiles)):
@@ -162,6 +161,6 @@ def polish(
                     damping *= 6.0
                     if damping > 1e4:
                         break
-            errors[f, k] = best + distance_term(p[0], p[1], window_px, step_mm)
+            errors[f, k] = best + distance_term(p[0], p[1], window, step_mm)
             offsets[f, k, 0], offsets[f, k, 1] = p[0], p[1]
             maps[f, k, 0], maps[f, k, 1], maps[f, k, 2] = p[2], p[3], p[4]

@@ -15,7 +15,8 @@ from numba import njit, prange
 from magiclens.artifacts import FloatArray, IntArray
 from magiclens.images import to_display
 
-_LEVELS = 8192
+DISPLAY = to_display(np.linspace(0.0, 1.0, 8192)).astype(np.float32)
+"""Display values of evenly spaced linear light, for kernels to look up."""
 BLOCK = 4
 """Tile pixels per side of a block whose mean bounds the squared difference from below."""
 
@@ -40,7 +41,7 @@ class Axis:
 def axis(scale: float, px_mm: float, step_mm: float, size_mm: float) -> Axis:
     """The raster axis for tile pixels of ``px_mm`` seen at ``scale``, offsets every ``step_mm`` or finer."""
     seen = scale * px_mm
-    skip = max(1, round(seen / step_mm)) if seen > step_mm else 1
+    skip = max(1, round(seen / step_mm))
     spacing = seen / skip
     stride = max(1, int(step_mm / spacing + 1e-9))
     return Axis(spacing, int((size_mm - seen) / spacing) + 1, skip, stride)
@@ -70,10 +71,9 @@ def build(columns: FloatArray, first: IntArray, weights: FloatArray, x: Axis, y:
     Sample (r_y, r_x) of the plain raster sits at [:, r_y % sy, r_x % sx, r_y // sy, r_x // sx], so that neighbouring
     offsets are neighbours in memory. A block mean averages BLOCK x BLOCK tile pixels from that sample on.
     """
-    table = to_display(np.linspace(0.0, 1.0, _LEVELS)).astype(np.float32)
     shape = (columns.shape[0], y.stride, x.stride, -(-y.count // y.stride), -(-x.count // x.stride))
     raster = np.zeros(shape, np.float32)
-    plain = _display_rows(columns, first, weights, table)
+    plain = _display_rows(columns, first, weights, DISPLAY)
     _split(plain, raster)
     blocks = np.zeros(shape, np.float32)
     _split(_block_means(plain, y.skip, x.skip), blocks)

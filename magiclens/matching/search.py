@@ -36,9 +36,9 @@ def reachable(cx, cy, rx, ry, xx, xy, yy, half, eye, depth, gap, ior, cos_limit)
 
 
 @njit(cache=True)
-def distance_term(rx: float, ry: float, window_px: float, step: float) -> float:
+def distance_term(rx: float, ry: float, window: float, step: float) -> float:
     """lambda M_s of 4.2 per pixel of a tile, in display units: 1 / (m^2 - R^2) - 1 / m^2, R in search steps."""
-    m2 = window_px * window_px
+    m2 = (2.0 * window / step) ** 2
     return 1.0 / (m2 - (rx * rx + ry * ry) / (step * step)) - 1.0 / m2
 
 
@@ -87,6 +87,14 @@ def _bound_row(acc, count, blocks, means, phase_y, at_y, phase_x, at_x):
                         acc[n] += weight * d * d
 
 
+@njit(cache=True)
+def _span(centre, window, spacing, mid, last, stride):
+    """First samples of patches that lie inside the source, their centres in the window: the first, and how many."""
+    first = max(0, math.ceil((centre - window) / spacing - mid))
+    last = min(last, math.floor((centre + window) / spacing - mid))
+    return first, (last - first) // stride + 1
+
+
 @njit(cache=True, parallel=True)
 def search(
     tiles, blocks, raster, means, scale_x, scale_y, spacing_x, spacing_y, count_x, count_y, skip_x, skip_y,
@@ -101,7 +109,6 @@ def search(
     facets, channels, pixels, _ = tiles.shape
     sy, sx = raster.shape[1], raster.shape[2]
     norm = np.float32(1.0 / (channels * pixels * pixels))
-    window_px = 2.0 * window / step
     reach_x, reach_y = (pixels - 1) * skip_x, (pixels - 1) * skip_y
     mid_x, mid_y = 0.5 * (reach_x - count_x + 1), 0.5 * (reach_y - count_y + 1)
     half = 0.5 * pixels * spacing_x * skip_x / scale_x
@@ -111,14 +118,10 @@ def search(
         phase_x, at_x = np.zeros(pixels, np.int64), np.zeros(pixels, np.int64)
         phase_y, at_y = np.zeros(pixels, np.int64), np.zeros(pixels, np.int64)
         cx, cy = centres[f, 0], centres[f, 1]
-        # first and last samples of patches whose centres lie in the window and which lie inside the source
-        x0 = max(0, math.ceil((cx - window) / spacing_x - mid_x))
-        y0 = max(0, math.ceil((cy - window) / spacing_y - mid_y))
-        x1 = min(count_x - 1 - reach_x, math.floor((cx + window) / spacing_x - mid_x))
-        y1 = min(count_y - 1 - reach_y, math.floor((cy + window) / spacing_y - mid_y))
-        if x1 < x0 or y1 < y0:
+        x0, n_x = _span(cx, window, spacing_x, mid_x, count_x - 1 - reach_x, sx)
+        y0, n_y = _span(cy, window, spacing_y, mid_y, count_y - 1 - reach_y, sy)
+        if n_x < 1 or n_y < 1:
             continue
-        n_x, n_y = (x1 - x0) // sx + 1, (y1 - y0) // sy + 1
         _places(x0, skip_x, sx, phase_x, at_x)
         edges[buckets] = n_x
         for b in range(1, buckets):
@@ -141,7 +144,7 @@ def search(
                         if acc[n] >= limit:
                             continue
                         rx = (x0 + n * sx + mid_x) * spacing_x - cx
-                        far = np.float32(distance_term(rx, ry, window_px, step) / norm)
+                        far = np.float32(distance_term(rx, ry, window, step) / norm)
                         if acc[n] + far >= limit:
                             continue
                         ssd = _difference(tile, raster, phase_y, at_y, phase_x, at_x, n, limit - far) + far

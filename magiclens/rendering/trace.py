@@ -152,7 +152,6 @@ def _march(us, vs, ws, u0, v0, w0, u1, v1, w1, r, c, skip, inside, found):
         t0, dt = (vs[r] - v0) / tall, -dv / tall
         a, b, d, e = ws[r, c], ws[r, c + 1], ws[r + 1, c], ws[r + 1, c + 1]
         bend = (t0 - s0) / (ds - dt) if ds != dt else -1.0
-        middle = here + 0.5 * (leave - here)
         for piece in range(2):
             if piece == 0:
                 start, end = here, bend if here < bend < leave else leave

@@ -50,7 +50,7 @@ def overlaps(lens: Lens, assignment: Assignment, side: int) -> IntArray:
 
 
 @njit(cache=True)
-def _overlaps(patches, maps, half, size, side):  # type: ignore[no-untyped-def]
+def _overlaps(patches, maps, half, size, side):
     """Patches are the images of a facet's square under its map: p is in it if M^-1 (p - centre) is in the square."""
     counts = np.zeros((side, side), np.int32)
     pixel = size / side
