@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.floating]
 IntArray = NDArray[np.integer]
+BoolArray = NDArray[np.bool_]
 
 
 class _ReadOnly:
@@ -109,11 +110,16 @@ class View(_ReadOnly):
 
 
 @dataclass(frozen=True)
-class Scene:
-    """A lens to design and everything it must show."""
+class Scene(_ReadOnly):
+    """A lens to design and everything it must show.
+
+    reserved: (H, W) bool, world frame, covers the source: where no facet of a universal lens may look and no encoder
+    may paint (5.1); None reserves nothing.
+    """
 
     lens: Lens
     views: tuple[View, ...]
+    reserved: BoolArray | None = None
 
     @property
     def reference_eye_mm(self) -> FloatArray:

@@ -67,6 +67,17 @@ def check_solid(found: object) -> None:
         raise BadArtifact(f"grid {solid.grid} needs more than {len(solid.vertices)} vertices")
 
 
+def check_encoded(given: Scene, found: object) -> None:
+    """The given scene with other sources, of the same sizes and within 0 to 1."""
+    scene = _is(Scene, found)
+    if scene.lens != given.lens or len(scene.views) != len(given.views):
+        raise BadArtifact("its scene has another lens or other views")
+    for old, new in zip(given.views, scene.views, strict=True):
+        _shape(f"the source of {old.name}", new.source, old.source.shape)
+        if not (new.source.min() >= 0 and new.source.max() <= 1):
+            raise BadArtifact(f"the source of {old.name} is not within 0 to 1")
+
+
 def check_file(path: Path) -> None:
     """A file that is there and not empty."""
     if not path.is_file() or path.stat().st_size == 0:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -18,7 +18,7 @@ from magiclens.spec.fields import Context, Inputs
 from magiclens.spec.load import check_spec
 from magiclens.spec.model import DEFAULT_STAGES, Choice, PipelineSpec, Spec
 from magiclens.spec.suggest import advice, unknown
-from magiclens.stages import Annealer, Exporter, Finisher, Integrator, Matcher, Renderer, Stage
+from magiclens.stages import Annealer, Encoder, Exporter, Finisher, Integrator, Matcher, Renderer, Stage
 
 S = TypeVar("S", bound=Stage)
 LISTS = {"exporters": "exporter", "renderers": "renderer"}
@@ -57,6 +57,7 @@ class Plan:
     annealer: Step[Annealer]
     integrator: Step[Integrator]
     finisher: Step[Finisher]
+    encoder: Step[Encoder] | None
     exporters: tuple[Step[Exporter], ...]
     renderers: tuple[Step[Renderer], ...]
     registry: Registry = field(repr=False, compare=False)
@@ -64,24 +65,26 @@ class Plan:
     @property
     def steps(self) -> tuple[Step[Any], ...]:
         """All stages, in pipeline order."""
-        return (self.matcher, self.annealer, self.integrator, self.finisher, *self.exporters, *self.renderers)
+        single = (self.matcher, self.annealer, self.integrator, self.finisher)
+        return (*single, *([self.encoder] if self.encoder else []), *self.exporters, *self.renderers)
 
     def scene(self) -> Scene:
         """The lens and its views, pictures loaded."""
         with blaming(f"scenario {self.scenario.type} ({self.scenario_plugin})"):
-            return Scene(self.lens, self.scenario.views(self.lens, self.spec.viewer, self.registry.art))
+            views = self.scenario.views(self.lens, self.spec.viewer, self.registry.art)
+            return Scene(self.lens, views, self.scenario.reserved(self.lens))
 
     def resolved(self, inputs: Inputs | None = None) -> dict[str, Any]:
         """The spec with every default written out. ``inputs`` collects its files and makes their paths portable."""
         spec = self.spec.model_dump(mode="json", exclude_none=True)
         scenario = self.scenario.model_dump(mode="json", exclude_none=True, context={"inputs": inputs})
-        single = {step.stage.kind: step.choice(inputs) for step in self.steps[: len(DEFAULT_STAGES)]}
         several = {key: [step.choice(inputs) for step in getattr(self, key)] for key in LISTS}
-        rematch = {"rematch": self.spec.pipeline.rematch}
+        single = {s.stage.kind: s.choice(inputs) for s in self.steps if s.stage.kind not in LISTS.values()}
+        rounds = {key: getattr(self.spec.pipeline, key) for key in ("rematch", "codesign")}
         return {
             **spec,
             "scenario": {"type": self.scenario.type, **scenario},
-            "pipeline": {**single, **several, **rematch},
+            "pipeline": {**single, **several, **rounds},
         }
 
 
@@ -109,7 +112,7 @@ class _Compiler:
         """The plan, or the first mistake."""
         spec = check_spec(self._document, self._checker)
         scenario, scenario_plugin = self._scenario()
-        steps = self._steps()
+        steps = self._steps(scenario.suited() if scenario else {})
         lens = self._fit(spec, scenario) if spec and scenario else None
         settle = self._checker.settle
         return Plan(
@@ -121,6 +124,7 @@ class _Compiler:
             annealer=settle(steps["annealer"][0]),
             integrator=settle(steps["integrator"][0]),
             finisher=settle(steps["finisher"][0]),
+            encoder=next((settle(step) for step in steps["encoder"]), None),
             exporters=tuple(settle(step) for step in steps["exporters"]),
             renderers=tuple(settle(step) for step in steps["renderers"]),
             registry=self._registry,
@@ -132,12 +136,13 @@ class _Compiler:
         found = self._pick(("scenario",), choice, SCENARIO)
         return (self._options(found[0], choice, ("scenario",), "key"), found[1]) if found else (None, None)
 
-    def _steps(self) -> dict[str, list[Step[Any] | None]]:
+    def _steps(self, suited: Mapping[str, Choice]) -> dict[str, list[Step[Any] | None]]:
         """The stages at each key of the pipeline; None where something is wrong, nothing if the pipeline itself is."""
         pipeline = self._checker.validate(PipelineSpec, self._document.data.get("pipeline", {}), ("pipeline",))
         if pipeline is None:
             return defaultdict(lambda: [None])
-        single = {kind: [self._step(kind, getattr(pipeline, kind), ("pipeline", kind))] for kind in DEFAULT_STAGES}
+        choices = {kind: pipeline.choice(kind, suited) for kind in (*DEFAULT_STAGES, Encoder.kind)}
+        single = {k: [self._step(k, choice, ("pipeline", k))] if choice else [] for k, choice in choices.items()}
         several = {key: self._list(key, getattr(pipeline, key)) for key in LISTS}
         return {**single, **several}
 
@@ -218,7 +223,7 @@ def _view_lines(plan: Plan) -> list[str]:
 
 
 def _stage_lines(plan: Plan) -> list[str]:
-    lines = [f"pipeline, rematch {plan.spec.pipeline.rematch}"]
+    lines = [f"pipeline, rematch {plan.spec.pipeline.rematch}, codesign {plan.spec.pipeline.codesign}"]
     for step in plan.steps:
         lines.append(f"  {step}, version {step.stage.version}")
         lines += [f"    {key}: {_inline(value)}" for key, value in step.choice().items() if key != "type"]

@@ -18,6 +18,7 @@ from magiclens.checks import (
     BadArtifact,
     check_assignment,
     check_candidates,
+    check_encoded,
     check_file,
     check_height_field,
     check_pictures,
@@ -29,7 +30,6 @@ from magiclens.manifest import (
     Scores,
     manifest,
     render_path,
-    source_path,
     spec_text,
     target_path,
     write_manifest,
@@ -43,6 +43,7 @@ from magiclens.stages import KINDS, Exporter, Progress, Renderer
 
 T = TypeVar("T")
 Renders = dict[str, list[FloatArray]]
+Generators = dict[str, np.random.Generator]
 
 
 @dataclass(frozen=True)
@@ -133,10 +134,15 @@ def _make(plan: Plan, folder: Path, worker: _Worker) -> RunData:
     inputs = Inputs()
     (folder / "spec.yaml").write_text(spec_text(plan, inputs), encoding="utf-8")
     _copy(inputs, folder)
-    scene = worker.part("pictures", plan.scene)
+    given = scene = worker.part("pictures", plan.scene)
+    rng = _generators(plan.spec.seed)
+    for _ in range(plan.spec.pipeline.codesign):
+        *_, solid = _design(plan, scene, rng, worker)
+        scene = _encode(plan, given, solid, rng, worker)
+    candidates, assignment, height_field, rough = _design(plan, scene, rng, worker)
+    solid = worker.stage(plan.finisher, lambda p: plan.finisher.stage.finish(given, rough, p), check_solid)
+    scene = _encode(plan, given, solid, rng, worker)
     _write_pictures(scene, folder)
-    candidates, assignment, height_field, rough = _design(plan, scene, worker)
-    solid = worker.stage(plan.finisher, lambda p: plan.finisher.stage.finish(scene, rough, p), check_solid)
     for exporter in plan.exporters:
         _export(exporter, scene, solid, folder, worker)
     renders = {step.stage.type: _render(step, scene, solid, folder, worker) for step in plan.renderers}
@@ -144,27 +150,72 @@ def _make(plan: Plan, folder: Path, worker: _Worker) -> RunData:
     first = Assignment.pick(candidates, candidates.errors.argmin(axis=-1))
     metrics = worker.part("bounds", partial(_bounds, scene, first, assignment))
     metrics |= {name: value for artifact in made for name, value in artifact.metrics.items()}
+    if plan.encoder:
+        metrics |= _changes(given, scene)
+        _write_sources(given, folder, "given")
     facts = manifest(plan, inputs, scene, metrics, _scores(scene, renders))
-    data = RunData(scene, candidates, first, assignment, height_field, solid, renders, facts)
+    data = RunData(given, scene, candidates, first, assignment, height_field, solid, renders, facts)
     worker.part("report", partial(write_report, data, folder))
     return data
 
 
-def _design(plan: Plan, scene: Scene, worker: _Worker) -> tuple[Candidates, Assignment, HeightField, Solid]:
+def _design(
+    plan: Plan, scene: Scene, rng: Generators, worker: _Worker
+) -> tuple[Candidates, Assignment, HeightField, Solid]:
     """From a scene to a closed mesh that no finisher has seen yet."""
     from magiclens.meshing.solid import solid_from_heights
-    from magiclens.rematch import rematch
 
-    rng = _generators(plan.spec.seed)
     matcher = plan.matcher.stage
     check = partial(check_candidates, plan.lens)
     candidates = worker.stage(plan.matcher, lambda p: matcher.match(scene, rng["matcher"], p), check)
-    assignment, height_field = _shape(plan, scene, candidates, rng["annealer"], worker)
+    best = (candidates, *_shape(plan, scene, candidates, rng["annealer"], worker))
+    if plan.spec.pipeline.rematch:
+        best = _rematched(plan, scene, best, rng, worker)
+    return *best, worker.part("meshing", partial(solid_from_heights, best[2]))
+
+
+def _rematched(
+    plan: Plan, scene: Scene, best: tuple[Candidates, Assignment, HeightField], rng: Generators, worker: _Worker
+) -> tuple[Candidates, Assignment, HeightField]:
+    """Rounds of rematching, annealing and integration until the traced error stops falling (4.6, last paragraph)."""
+    from magiclens.traced import facet_errors
+
+    check = partial(check_candidates, plan.lens)
+    errors = worker.part("tracing", partial(facet_errors, scene, best[2]))
     for _ in range(plan.spec.pipeline.rematch):
-        again = partial(rematch, scene, candidates, assignment, height_field)
-        candidates = worker.part("rematching", again)
-        assignment, height_field = _shape(plan, scene, candidates, rng["annealer"], worker)
-    return candidates, assignment, height_field, worker.part("meshing", partial(solid_from_heights, height_field))
+        again = partial(plan.matcher.stage.rematch, scene, *best, errors)
+        candidates = worker.stage(plan.matcher, again, check)
+        trial = (candidates, *_shape(plan, scene, candidates, rng["annealer"], worker))
+        errors_now = worker.part("tracing", partial(facet_errors, scene, trial[2]))
+        if errors_now.mean() >= errors.mean():
+            break
+        best, errors = trial, errors_now
+    return best
+
+
+def _encode(plan: Plan, given: Scene, solid: Solid, rng: Generators, worker: _Worker) -> Scene:
+    """The scene with its sources edited for a solid, always starting from those that were given."""
+    if plan.encoder is None:
+        return given
+    from magiclens.traced import transports
+
+    step, encoder = plan.encoder, plan.encoder.stage
+    matrices = worker.part("tracing", partial(transports, given, solid))
+    check = partial(check_encoded, given)
+    encoded: Scene = worker.stage(step, lambda p: encoder.encode(given, matrices, rng["encoder"], p), check)
+    return encoded
+
+
+def _changes(given: Scene, scene: Scene) -> dict[str, float]:
+    """How much the sources still look like those that were given, on average over the sources."""
+    from magiclens.images.score import score
+
+    pairs = {new.source_name: score(new.source, old.source, 1.0) for old, new in zip(given.views, scene.views)}
+    scores = list(pairs.values())
+    return {
+        "source_psnr_db": float(np.mean([s.psnr_db for s in scores])),
+        "source_ssim": float(np.mean([s.ssim for s in scores])),
+    }
 
 
 def _bounds(scene: Scene, first: Assignment, assignment: Assignment) -> dict[str, float]:
@@ -185,7 +236,7 @@ def _shape(
     return assignment, worker.stage(plan.integrator, lambda p: integrator.integrate(scene, assignment, p), built)
 
 
-def _generators(seed: int) -> dict[str, np.random.Generator]:
+def _generators(seed: int) -> Generators:
     """One source of randomness per kind of stage, so that a change of one leaves the others' alone."""
     children = np.random.SeedSequence(seed).spawn(len(KINDS))
     return {kind: np.random.default_rng(child) for kind, child in zip(KINDS, children, strict=True)}
@@ -202,12 +253,19 @@ def _write_pictures(scene: Scene, folder: Path) -> None:
     """The sources, true to scale for printing, and the targets."""
     from magiclens.images.files import write_png
 
-    sources = {source_path(view): view.source for view in scene.views}
-    targets = {target_path(view): view.target for view in scene.views}
-    for path, picture in {**sources, **targets}.items():
-        (folder / path).parent.mkdir(exist_ok=True)
-        scale = len(picture) / scene.lens.source_size_mm if path in sources else None
-        write_png(folder / path, picture, scale)
+    _write_sources(scene, folder)
+    (folder / "targets").mkdir()
+    for path, picture in {target_path(view): view.target for view in scene.views}.items():
+        write_png(folder / path, picture)
+
+
+def _write_sources(scene: Scene, folder: Path, kept: str = "sources") -> None:
+    """Every source once, with its physical size."""
+    from magiclens.images.files import write_png
+
+    (folder / kept).mkdir()
+    for name, picture in {view.source_name: view.source for view in scene.views}.items():
+        write_png(folder / kept / f"{name}.png", picture, len(picture) / scene.lens.source_size_mm)
 
 
 def _export(step: Step[Exporter], scene: Scene, solid: Solid, folder: Path, worker: _Worker) -> None:

@@ -8,14 +8,15 @@ return new ones. Only exporters write files. Randomness is an argument.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from magiclens.artifacts import Assignment, Candidates, FloatArray, HeightField, Scene, Solid
+from magiclens.artifacts import Assignment, Candidates, FloatArray, HeightField, Scene, Solid, Transport
 
 Progress = Callable[[float], None]
 """Called by long stages with the fraction that is done, from 0 to 1."""
@@ -43,6 +44,22 @@ class Matcher(Stage):
     @abstractmethod
     def match(self, scene: Scene, rng: np.random.Generator, progress: Progress = silent) -> Candidates:
         """Candidates per facet, best first; those that refraction cannot reach are left out."""
+
+    def rematch(
+        self, scene: Scene, candidates: Candidates, assignment: Assignment, built: HeightField, traced: FloatArray,
+        progress: Progress = silent,
+    ) -> Candidates:  # fmt: skip
+        """Candidates corrected by what the lens, as ``built`` from the assignment, really shows (4.6, last paragraph).
+
+        traced: (N, N) mean squared difference, in display values, of each facet's traced picture and its tile. Unless
+        a matcher knows better, the candidates in use get these errors, so that those which steps, walls or the
+        lenslets' true shapes have spoilt lose against others. The lists stay in order, so that a candidate's number
+        means the same in every round.
+        """
+        errors = candidates.errors.copy()
+        i, j = np.indices(assignment.choice.shape)
+        errors[i, j, assignment.choice] = traced
+        return replace(candidates, errors=errors)
 
 
 class Annealer(Stage):
@@ -77,6 +94,21 @@ class Finisher(Stage):
         """A solid that is fit for fabrication; ``metrics`` holds the findings."""
 
 
+class Encoder(Stage):
+    """Paints or edits the sources so that the finished lens shows the targets (5.2; the continuum of 7)."""
+
+    kind: ClassVar[str] = "encoder"
+
+    @abstractmethod
+    def encode(
+        self, scene: Scene, transports: Sequence[Transport], rng: np.random.Generator, progress: Progress = silent
+    ) -> Scene:
+        """The scene with other sources; views that share a source go on sharing one. Everything else is unchanged.
+
+        transports: one per view, the matrix from the view's source raster to its picture, both in the world frame.
+        """
+
+
 class Exporter(Stage):
     """Writes a solid to a file that other programs read."""
 
@@ -99,6 +131,6 @@ class Renderer(Stage):
 
 
 KINDS: dict[str, type[Stage]] = {
-    cls.kind: cls for cls in (Matcher, Annealer, Integrator, Finisher, Exporter, Renderer)
+    cls.kind: cls for cls in (Matcher, Annealer, Integrator, Finisher, Encoder, Exporter, Renderer)
 }
 """Every kind of stage, in pipeline order."""

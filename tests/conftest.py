@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from magiclens.registry import Registry
-from toys import SPEC, TOYS, SpecWriter, prism, registry_of, shifted
+from toys import SPEC, TOYS, SpecWriter, prism, registry_of
 
 
 @pytest.fixture
@@ -21,12 +22,13 @@ def registry() -> Registry:
 
 @pytest.fixture
 def toy_geometry(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The steps between stages, without optics: a prism for a solid, rematching that shifts every candidate."""
-    solid, rematch = ModuleType("magiclens.meshing.solid"), ModuleType("magiclens.rematch")
+    """The steps between stages, without optics: a prism for a solid, traced errors that fall from round to round."""
+    solid, traced = ModuleType("magiclens.meshing.solid"), ModuleType("magiclens.traced")
+    falling = itertools.count(100, -1)
     vars(solid)["solid_from_heights"] = prism
-    vars(rematch)["rematch"] = shifted
+    vars(traced)["facet_errors"] = lambda scene, heights: np.full((scene.lens.facets,) * 2, next(falling) / 100)
     monkeypatch.setitem(sys.modules, solid.__name__, solid)
-    monkeypatch.setitem(sys.modules, rematch.__name__, rematch)
+    monkeypatch.setitem(sys.modules, traced.__name__, traced)
 
 
 @pytest.fixture

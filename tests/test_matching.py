@@ -23,8 +23,8 @@ from magiclens.matching.polish import blur_levels
 from magiclens.matching.predict import predict
 from magiclens.meshing.solid import solid_from_heights
 from magiclens.optics.refraction import facet_normal
-from magiclens.rematch import rematch
 from magiclens.rendering.tracer import Tracer
+from magiclens.traced import facet_errors
 from magiclens.stages import silent
 from scenes import (
     ABOVE,
@@ -478,7 +478,8 @@ def test_rematching_replaces_the_errors_in_use_by_those_of_the_lens_as_built(tur
     spoilt[32:64, 96:] = 1 - spoilt[32:64, 96:]
     scene = Scene(lens, (replace(view, target=np.rot90(spoilt, turns).copy()),))
     offered = choices(np.zeros((4, 4, 3, 2)), np.ones((4, 4, 3, 3)), np.full((4, 4, 3), 0.7))
-    again = rematch(scene, offered, Assignment.pick(offered, np.full((4, 4), 1)), heights)
+    used, errors = Assignment.pick(offered, np.full((4, 4), 1)), facet_errors(scene, heights)
+    again = Exhaustive().rematch(scene, offered, used, heights, errors)
     assert again.errors[1, 3, 1] > 0.02
     others = np.delete(again.errors[..., 1].ravel(), 7)
     assert others.max() < 3e-3

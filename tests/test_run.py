@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -185,6 +186,14 @@ def test_rematching_repeats_choice_and_integration(run: Runner) -> None:
     assert np.allclose(done.data.candidates.offsets_mm, plain.candidates.offsets_mm + 2)
     assert done.manifest["metrics"]["rematched"] == 1.0
     assert [s["kind"] for s in done.manifest["stages"]].count("annealer") == 1
+
+
+def test_rematching_stops_when_it_no_longer_helps(run: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
+    errors = iter([0.5, 0.4, 0.6, 0.3])
+    traced = sys.modules["magiclens.traced"]
+    monkeypatch.setattr(traced, "facet_errors", lambda scene, heights: np.full((4, 4), next(errors)))
+    plain, done = run("one").data, run("two", "pipeline.rematch=5").data
+    assert np.allclose(done.candidates.offsets_mm, plain.candidates.offsets_mm + 1)
 
 
 def test_the_first_choice_is_kept_for_comparison(run: Runner) -> None:

@@ -16,7 +16,7 @@ from magiclens.plan import load_plan
 from magiclens.registry import ART, SCENARIO, STAGE, Registry
 from magiclens.spec.document import read_document
 from magiclens.spec.load import load_spec
-from magiclens.spec.model import MATERIALS
+from magiclens.spec.model import MATERIALS, PipelineSpec
 from magiclens.spec.schema import json_schema
 from magiclens.stages import KINDS
 from toys import SPEC, SpecWriter
@@ -232,13 +232,23 @@ def test_everything_but_the_scenario_has_a_default(tmp_path: Path) -> None:
     spec = load_spec(path)
     assert (spec.name, spec.seed, spec.viewer.distance) == ("my lens.v2", 0, 400.0)
     assert spec.lens.build().ior == MATERIALS["acrylic"]
-    assert spec.pipeline.integrator == {"type": "poisson"}
+    assert spec.pipeline.choice("integrator", {}) == {"type": "poisson"}
+    assert spec.pipeline.choice("encoder", {}) is None
 
 
 def test_options_without_a_type_go_to_the_default_stage(tmp_path: Path) -> None:
     path = tmp_path / "a.yaml"
     path.write_text("scenario: {type: single}\npipeline: {matcher: {window: 5%}}\n")
-    assert load_spec(path).pipeline.matcher == {"type": "exhaustive", "window": "5%"}
+    assert load_spec(path).pipeline.choice("matcher", {}) == {"type": "exhaustive", "window": "5%"}
+
+
+def test_a_scenario_says_what_suits_it_and_a_spec_has_the_last_word() -> None:
+    suited = {"matcher": {"type": "darts", "cuts": 2}}
+    pipeline = PipelineSpec.model_validate({"matcher": {"cuts": 3}, "codesign": 1})
+    assert pipeline.choice("matcher", suited) == {"type": "darts", "cuts": 3}
+    assert pipeline.choice("encoder", suited) == {"type": "least-squares"}
+    other = PipelineSpec.model_validate({"matcher": {"type": "exhaustive"}})
+    assert other.choice("matcher", suited) == {"type": "exhaustive"}
 
 
 def test_ior_takes_the_place_of_a_material(write_spec: SpecWriter) -> None:

@@ -36,6 +36,13 @@ class ToyMatcher(Matcher):
         errors = np.sort(rng.random(shape), axis=-1).astype(np.float32)
         return Candidates(offsets, np.ones((*shape, 3), np.float32), errors, {"matching_psnr_db": 20.0})
 
+    def rematch(
+        self, scene: Scene, candidates: Candidates, assignment: Assignment, built: HeightField, traced: FloatArray,
+        progress: Progress = silent,
+    ) -> Candidates:  # fmt: skip
+        assert traced.shape == assignment.choice.shape
+        return Candidates(candidates.offsets_mm + 1, candidates.maps, candidates.errors, {"rematched": 1.0})
+
 
 class ToyAnnealer(Annealer):
     """Chooses at random."""
@@ -117,10 +124,6 @@ def prism(height_field: HeightField) -> Solid:
     top = np.asarray(height_field.heights_mm).ravel()
     vertices = np.column_stack([np.arange(len(top)), np.zeros(len(top)), top])
     return Solid(vertices, np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]], np.int32))
-
-
-def shifted(scene: Scene, candidates: Candidates, assignment: Assignment, height_field: HeightField) -> Candidates:
-    return Candidates(candidates.offsets_mm + 1, candidates.maps, candidates.errors, {"rematched": 1.0})
 
 
 SPEC = """\

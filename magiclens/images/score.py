@@ -19,14 +19,15 @@ class Score:
     gain: float
 
 
-def score(render_linear: FloatArray, target_linear: FloatArray) -> Score:
+def score(render_linear: FloatArray, target_linear: FloatArray, gain: float | None = None) -> Score:
     """Compare a render (R, R, C) with its target (H, W, C), both linear light; C may differ (1 or 3).
 
-    The target is resized to the render. One least-squares gain stands for the camera's exposure.
+    The target is resized to the render. Unless given, one least-squares gain stands for the camera's exposure.
     """
     target = resize(target_linear, render_linear.shape[:2]).astype(np.float64)
     render, target = np.broadcast_arrays(render_linear.astype(np.float64), target)
-    gain = float((render * target).sum() / max(float((render**2).sum()), 1e-12))
+    if gain is None:
+        gain = float((render * target).sum() / max(float((render**2).sum()), 1e-12))
     seen, wanted = to_display(render * gain), to_display(target)
     return Score(psnr_db(seen, wanted), _ssim(seen.mean(-1), wanted.mean(-1)), gain)
 

@@ -9,9 +9,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from magiclens.artifacts import FloatArray, Lens, View
+from magiclens.artifacts import BoolArray, FloatArray, Lens, View
 from magiclens.scenarios.pictures import Art, Source, Target
-from magiclens.spec.model import SpecModel, Viewer
+from magiclens.spec.model import Choice, SpecModel, Viewer
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,14 @@ class Scenario(SpecModel, ABC):
     @abstractmethod
     def shots(self, lens: Lens, viewer: Viewer) -> tuple[Shot, ...]:
         """Everything the lens must show, in the world frame."""
+
+    def suited(self) -> dict[str, Choice]:
+        """Stages, by kind, that this scenario needs or does best with; a spec may choose others."""
+        return {}
+
+    def reserved(self, lens: Lens) -> BoolArray | None:
+        """(H, W) bool: the source's region that is not to be used (see ``artifacts.Scene``), if there is one."""
+        return None
 
     def fit(self, lens: Lens, viewer: Viewer) -> Lens:
         """The lens with the source size that the shots agree on. Raises ValueError if they do not."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -16,7 +17,10 @@ MATERIALS = {"acrylic": 1.49, "glass": 1.52, "polycarbonate": 1.585, "pdms": 1.4
 """Index of refraction of each material, at 589 nm."""
 
 DEFAULT_STAGES = {"matcher": "exhaustive", "annealer": "heat-bath", "integrator": "poisson", "finisher": "pymeshlab"}
-"""The stage of each kind that runs when the spec does not choose."""
+"""The stage of each kind that runs when neither the spec nor the scenario chooses."""
+
+DEFAULT_ENCODER = "least-squares"
+"""The encoder that runs when a spec wants one without naming it."""
 
 
 class SpecModel(BaseModel):
@@ -124,27 +128,33 @@ Choice = Annotated[dict[str, Any], BeforeValidator(_choice)]
 """A mapping with a ``type`` and the options of that type, not resolved yet."""
 
 
-def _default_type(kind: str) -> BeforeValidator:
-    """Fills in the stage that runs by default where a mapping has options but no ``type``."""
-
-    def fill(value: object) -> object:
-        return {"type": DEFAULT_STAGES[kind], **value} if isinstance(value, dict) else value
-
-    return BeforeValidator(fill)
-
-
 class PipelineSpec(SpecModel):
     """Which stage of each kind runs, with which options."""
 
-    matcher: Annotated[Choice, _default_type("matcher")] = Field({}, description="finds candidates for every facet")
-    annealer: Annotated[Choice, _default_type("annealer")] = Field({}, description="chooses one candidate per facet")
-    integrator: Annotated[Choice, _default_type("integrator")] = Field({}, description="turns choices into heights")
-    finisher: Annotated[Choice, _default_type("finisher")] = Field({}, description="repairs and checks the mesh")
+    matcher: Choice = Field({}, description="finds candidates for every facet")
+    annealer: Choice = Field({}, description="chooses one candidate per facet")
+    integrator: Choice = Field({}, description="turns choices into heights")
+    finisher: Choice = Field({}, description="repairs and checks the mesh")
+    encoder: Choice | None = Field(None, description="edits the source so that the finished lens shows the targets")
     exporters: list[Choice] = Field([{"type": "stl"}], description="files to write")
     renderers: list[Choice] = Field([{"type": "tracer"}], description="simulated photographs to take")
     rematch: int = Field(
-        0, strict=True, ge=0, le=100, description="rounds of re-scoring candidates with the lens as it has become"
+        0, strict=True, ge=0, le=100,
+        description="rounds of re-scoring candidates with the lens as it has become, while that helps",
+    )  # fmt: skip
+    codesign: int = Field(
+        0, strict=True, ge=0, le=100, description="rounds of editing the source and designing the lens again for it"
     )
+
+    def choice(self, kind: str, suited: Mapping[str, Choice]) -> Choice | None:
+        """The stage of a kind: as written, over what suits the scenario, over the default; None for no encoder."""
+        written: Choice | None = getattr(self, kind)
+        wanted = kind in DEFAULT_STAGES or kind in suited or written is not None or self.codesign > 0
+        if not wanted:
+            return None
+        usual = suited.get(kind) or {"type": DEFAULT_STAGES.get(kind, DEFAULT_ENCODER)}
+        written = written or {}
+        return {**usual, **written} if written.get("type", usual["type"]) == usual["type"] else written
 
 
 class Spec(SpecModel):

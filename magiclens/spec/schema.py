@@ -18,6 +18,8 @@ Classes = Mapping[str, type[BaseModel]]
 DRAFT = "http://json-schema.org/draft-07/schema#"
 REF = "#/definitions/"
 ART = "ArtName"
+SINGLE = (*DEFAULT_STAGES, "encoder")
+"""Kinds of which a pipeline has one stage; it may have options without a ``type``."""
 LISTS = {"exporters": "exporter", "renderers": "renderer"}
 
 
@@ -38,8 +40,8 @@ def json_schema(scenarios: Classes, stages: Mapping[str, Classes], art: Iterable
             definitions[f"{noun}-{type_}"] = _definition(noun, type_, cls)
     _set(spec["properties"]["scenario"], _one_of("scenario", scenarios))
     pipeline = definitions["PipelineSpec"]["properties"]
-    for kind, type_ in DEFAULT_STAGES.items():
-        _set(pipeline[kind], _one_of(kind, stages[kind]) | {"default": {"type": type_}})
+    for kind in SINGLE:
+        _set(pipeline[kind], _any_of(kind, stages[kind]))
     for key, kind in LISTS.items():
         pipeline[key]["items"] = _one_of(kind, stages[kind])
     whole = {"$schema": DRAFT, **spec, "title": "magic lens spec"}
@@ -50,11 +52,10 @@ def _definition(noun: str, type_: str, cls: type[BaseModel]) -> dict[str, Any]:
     """The options of one class and the ``type`` that picks it, its own definitions inside."""
     template = f"{REF}{noun}-{type_}/definitions/{{model}}"
     schema = cls.model_json_schema(ref_template=template, schema_generator=_Draft7)
-    optional = DEFAULT_STAGES.get(noun) == type_
     return {
         **schema,
         "properties": {"type": {"const": type_}, **schema.get("properties", {})},
-        "required": [*([] if optional else ["type"]), *schema.get("required", [])],
+        "required": [*([] if noun in SINGLE else ["type"]), *schema.get("required", [])],
         "definitions": schema.get("$defs", {}),
     }
 
@@ -62,6 +63,10 @@ def _definition(noun: str, type_: str, cls: type[BaseModel]) -> dict[str, Any]:
 def _one_of(noun: str, classes: Classes) -> dict[str, Any]:
     choices = [{"$ref": f"{REF}{noun}-{type_}"} for type_ in sorted(classes)]
     return {"oneOf": choices} if choices else {"type": "object"}
+
+
+def _any_of(kind: str, classes: Classes) -> dict[str, Any]:
+    return {"anyOf" if key == "oneOf" else key: value for key, value in _one_of(kind, classes).items()}
 
 
 def _set(schema: dict[str, Any], choice: dict[str, Any]) -> None:
