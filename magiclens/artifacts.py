@@ -44,6 +44,8 @@ class Lens:
     ``relief_mm`` bounds how far the top may leave the reference plane, ``wall_mm`` is the width of the
     strip between two facets, ``max_slope_deg`` bounds the angle between a facet's normal and +z.
     ``cells`` says along what facets are cut: ``eye`` rays (steps are edge-on and invisible) or ``vertical``.
+    Tilted eyes look past the edge of what stands low and against the sides: so the outer facets go on for ``bleed_mm``
+    beyond the lens's square, and the slab's sides lean out to a flat bottom of at least the side ``floor_mm``.
     """
 
     size_mm: float = 100.0
@@ -57,6 +59,8 @@ class Lens:
     relief_mm: float = 5.0
     max_slope_deg: float = 60.0
     cells: Literal["eye", "vertical"] = "eye"
+    bleed_mm: float = 0.0
+    floor_mm: float = 0.0
 
     @property
     def pitch_mm(self) -> float:

@@ -25,20 +25,24 @@ def mlens_stages() -> Sequence[type[Stage]]:
     from magiclens.integration.least_squares import LeastSquares
     from magiclens.integration.poisson import Poisson
     from magiclens.matching.exhaustive import Exhaustive
+    from magiclens.matching.multi_view import MultiView
     from magiclens.meshing.finish import Pymeshlab
     from magiclens.rendering.mitsuba import Mitsuba
     from magiclens.rendering.tracer import Tracer
 
-    return [Exhaustive, HeatBath, Metropolis, Poisson, LeastSquares, Pymeshlab, Stl, Ply, Obj, Tracer, Mitsuba]
+    design: list[type[Stage]] = [Exhaustive, MultiView, HeatBath, Metropolis, Poisson, LeastSquares, Pymeshlab]
+    return [*design, Stl, Ply, Obj, Tracer, Mitsuba]
 
 
 @hookimpl
 def mlens_scenarios() -> Sequence[type[Scenario]]:
     """Every built-in scenario."""
+    from magiclens.scenarios.multi_view import MultiView
     from magiclens.scenarios.rotating import Rotating
     from magiclens.scenarios.single import Single
+    from magiclens.scenarios.stable_zone import StableZone
 
-    return [Single, Rotating]
+    return [Single, Rotating, MultiView, StableZone]
 
 
 @hookimpl

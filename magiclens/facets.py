@@ -19,9 +19,11 @@ def edge_models(scene: Scene, offsets: FloatArray, maps: FloatArray) -> tuple[Fl
     from magiclens.optics import lenslets
 
     lens, n = scene.lens, scene.lens.facets
+    eyes = np.stack([view.in_lens_frame().eye_mm for view in scene.views])
     profiles, drifts = lenslets.edge_models(
         lens.facet_centres_mm().reshape(-1, 2), *_flat(n, offsets, maps), scene.reference_eye_mm,
-        lens.cells == "vertical", lens.pitch_mm, lens.thickness_mm, lens.gap_mm, lens.ior, EDGE_POINTS,
+        np.unique(eyes.round(9), axis=0), lens.cells == "vertical", lens.pitch_mm,
+        lens.thickness_mm, lens.gap_mm, lens.ior, EDGE_POINTS,
     )
     return profiles.reshape(*offsets.shape[:3], 4, EDGE_POINTS), drifts.reshape(*offsets.shape[:3], 4)
 

@@ -71,7 +71,7 @@ class Plan:
     def scene(self) -> Scene:
         """The lens and its views, pictures loaded."""
         with blaming(f"scenario {self.scenario.type} ({self.scenario_plugin})"):
-            views = self.scenario.views(self.lens, self.spec.viewer, self.registry.art)
+            views = self.scenario.compiled(self.lens, self.spec.viewer, self.registry.art)
             return Scene(self.lens, views, self.scenario.reserved(self.lens))
 
     def resolved(self, inputs: Inputs | None = None) -> dict[str, Any]:

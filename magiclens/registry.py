@@ -170,7 +170,7 @@ class Registry:
 
     def _add_scenarios(self, classes: Iterable[Any], plugin: Plugin) -> None:
         for cls in classes:
-            flaw = _class_flaw(cls) or _lacks(cls, "shots", "fit", "views")
+            flaw = _class_flaw(cls) or _lacks(cls, "shots", "fit", "compiled")
             if flaw:
                 self._fail(plugin, f"mlens_scenarios: {flaw}")
             else:

@@ -210,7 +210,8 @@ def _changes(given: Scene, scene: Scene) -> dict[str, float]:
     """How much the sources still look like those that were given, on average over the sources."""
     from magiclens.images.score import score
 
-    pairs = {new.source_name: score(new.source, old.source, 1.0) for old, new in zip(given.views, scene.views)}
+    both = zip(given.views, scene.views, strict=True)
+    pairs = {new.source_name: score(new.source, old.source, 1.0) for old, new in both}
     scores = list(pairs.values())
     return {
         "source_psnr_db": float(np.mean([s.psnr_db for s in scores])),

@@ -7,6 +7,7 @@ from itertools import combinations, pairwise
 
 import numpy as np
 import pytest
+from scipy.ndimage import label
 
 from magiclens.errors import InputError
 from magiclens.images import ART, FloatArray, art, resize, to_display
@@ -51,6 +52,12 @@ def test_what_lies_beyond_the_picture_is_cut_off() -> None:
 def test_a_drawn_ellipse_has_its_true_area_at_any_size(size_px: int) -> None:
     ink = 1 - draw([Layer((ellipse(48, 51, 30, 20, 25),), flat(0.0))], size_px).mean()
     assert ink == pytest.approx(np.pi * 30 * 20 / 1e4, rel=1e-3)
+
+
+def test_an_outline_that_runs_the_other_way_cuts_a_hole_if_asked() -> None:
+    ring = [rectangle(1, 1, 4, 4), rectangle(2, 2, 3, 3)[::-1]]
+    assert coverage(ring, (5, 5), holes=True)[2].tolist() == [0, 1, 0, 1, 0]
+    assert coverage(ring, (5, 5))[2].tolist() == [0, 1, 1, 1, 0]
 
 
 def test_overlapping_outlines_unite_whichever_way_they_run() -> None:
@@ -131,7 +138,8 @@ def paintings() -> dict[str, FloatArray]:
 def test_every_promised_picture_is_there() -> None:
     animals = {"panda", "bat", "penguin", "whale", "cat", "rabbit", "owl", "elephant"}
     things = {"heart", "star", "question_mark", "exclamation", "tree", "house", "sun", "moon", "fish", "key", "anchor"}
-    assert set(ART) == animals | things | set(WORMS) | set(PAINTINGS)
+    answers = {"lincoln", "washington", "eiffel_tower", "dinosaur", "apple", "lightbulb"}
+    assert set(ART) == animals | things | answers | set(WORMS) | set(PAINTINGS)
 
 
 @pytest.mark.parametrize("name", list(ART))
@@ -160,7 +168,7 @@ def test_a_silhouette_is_bold_black_on_white(name: str, pictures: dict[str, Floa
     assert (picture[:, [0, -1]] == 1).all()
 
 
-@pytest.mark.parametrize("name", ["panda", "bat", "star", "heart", "sun"])
+@pytest.mark.parametrize("name", ["panda", "bat", "star", "heart", "sun", "eiffel_tower"])
 def test_an_outline_that_ought_to_be_symmetric_is(name: str, pictures: dict[str, FloatArray]) -> None:
     assert np.abs(pictures[name] - pictures[name][:, ::-1]).mean() < (0.03 if name == "heart" else 1e-4)
 
@@ -172,6 +180,30 @@ def test_pictures_stand_upright(pictures: dict[str, FloatArray]) -> None:
     assert dark("heart", slice(0, 48)) > 2 * dark("heart", slice(60, 96)) > 0
     assert dark("tree", slice(0, 48)) > dark("tree", slice(60, 96)) > 0
     assert dark("exclamation", slice(0, 48)) > dark("exclamation", slice(60, 96)) > 0
+    assert dark("eiffel_tower", slice(60, 96)) > dark("eiffel_tower", slice(0, 48)) > 0
+
+
+@pytest.mark.parametrize(
+    ("name", "spaces"),
+    [("lincoln", 1), ("washington", 3), ("eiffel_tower", 12), ("dinosaur", 1), ("apple", 1), ("lightbulb", 1)],
+)
+def test_white_within_the_black_stays_open_when_small(name: str, spaces: int, pictures: dict[str, FloatArray]) -> None:
+    _, regions = label(pictures[name][..., 0] > 0.5)
+    assert regions - 1 >= spaces
+
+
+def test_the_tower_stands_on_two_legs_under_an_arch(pictures: dict[str, FloatArray]) -> None:
+    rows = pictures["eiffel_tower"][76:84, :, 0]
+    assert (rows[:, 42:54] == 1).all()
+    assert (rows[:, :42].min(1) < 0.5).all()
+
+
+def test_washingtons_bow_and_the_dinosaurs_jaws_are_on_the_right(pictures: dict[str, FloatArray]) -> None:
+    def middle(name: str, rows: slice) -> float:
+        return float(np.nonzero(pictures[name][rows, :, 0] < 0.5)[1].mean())
+
+    assert middle("washington", slice(40, 60)) > 52
+    assert middle("dinosaur", slice(0, 30)) > 60
 
 
 def test_no_two_silhouettes_look_alike(pictures: dict[str, FloatArray]) -> None:
@@ -222,7 +254,7 @@ def test_an_unknown_name_is_answered_with_the_nearest(typed: str, meant: str) ->
 
 
 def test_a_name_like_no_other_is_answered_with_all_choices() -> None:
-    with pytest.raises(InputError, match=r"choose one of anchor, bat, .*whale"):
+    with pytest.raises(InputError, match=r"choose one of anchor, apple, bat, .*whale"):
         art("xyzzy", 16)
 
 

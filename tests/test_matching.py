@@ -24,8 +24,8 @@ from magiclens.matching.predict import predict
 from magiclens.meshing.solid import solid_from_heights
 from magiclens.optics.refraction import facet_normal
 from magiclens.rendering.tracer import Tracer
-from magiclens.traced import facet_errors
 from magiclens.stages import silent
+from magiclens.traced import facet_errors
 from scenes import (
     ABOVE,
     ASIDE,

@@ -60,7 +60,8 @@ def run_data(lens: Lens, views: tuple[View, ...], renderers: tuple[str, ...] = (
     field = surface(lens, rng.normal(size=(n, n, 1, 1)))
     solid = Solid(np.zeros((3, 3)), np.array([[0, 1, 2]], np.int32))
     renders = {name: [0.5 * view.target for view in views] for name in renderers}
-    return RunData(Scene(lens, views), Scene(lens, views), candidates, first, chosen, field, solid, renders, manifest(**changes))
+    scene = Scene(lens, views)
+    return RunData(scene, scene, candidates, first, chosen, field, solid, renders, manifest(**changes))
 
 
 def two_turns(target: FloatArray | None = None) -> tuple[View, ...]:

@@ -9,10 +9,11 @@ import pytest
 
 from magiclens.artifacts import FloatArray, Lens, View
 from magiclens.images.files import read_image, write_png
+from magiclens.images.text import text
 from magiclens.plan import load_plan
 from magiclens.registry import Registry
 from magiclens.scenarios.base import Shot
-from magiclens.scenarios.pictures import ArtSource, Circles, ImageSource, Target
+from magiclens.scenarios.pictures import ArtSource, Circles, ImageSource, Target, TextSource
 from magiclens.scenarios.rotating import Rotating
 from magiclens.scenarios.single import Single
 from magiclens.spec.model import Viewer
@@ -28,7 +29,7 @@ ART = {
 
 
 def single(source: dict[str, object], target: dict[str, object]) -> View:
-    (view,) = Single.model_validate({"source": source, "target": target}).views(LENS, VIEWER, ART)
+    (view,) = Single.model_validate({"source": source, "target": target}).compiled(LENS, VIEWER, ART)
     return view
 
 
@@ -46,18 +47,18 @@ def test_a_single_view_is_called_single() -> None:
 
 
 def test_rotations_count_up_in_quarter_turns_by_default() -> None:
-    views = rotating(targets=[{"art": "grey"}] * 3).views(LENS, VIEWER, ART)
+    views = rotating(targets=[{"art": "grey"}] * 3).compiled(LENS, VIEWER, ART)
     assert [v.rotation_deg for v in views] == [0, 90, 180]
     assert [v.name for v in views] == [v.target_name for v in views] == ["rotation-000", "rotation-090", "rotation-180"]
 
 
 def test_a_negative_angle_is_the_turn_it_ends_at() -> None:
-    (view,) = rotating(targets=[{"art": "grey"}], angles=["-90deg"]).views(LENS, VIEWER, ART)
+    (view,) = rotating(targets=[{"art": "grey"}], angles=["-90deg"]).compiled(LENS, VIEWER, ART)
     assert (view.name, view.rotation_deg, view.quarter_turns) == ("rotation-270", 270, 3)
 
 
 def test_all_rotations_share_one_source() -> None:
-    views = rotating(targets=[{"art": "grey"}] * 2).views(LENS, VIEWER, ART)
+    views = rotating(targets=[{"art": "grey"}] * 2).compiled(LENS, VIEWER, ART)
     assert views[0].source is views[1].source
 
 
@@ -67,7 +68,7 @@ def test_all_pictures_grey_make_one_channel() -> None:
 
 
 def test_one_coloured_picture_gives_all_three_channels() -> None:
-    views = rotating(targets=[{"art": "grey"}, {"art": "red"}]).views(LENS, VIEWER, ART)
+    views = rotating(targets=[{"art": "grey"}, {"art": "red"}]).compiled(LENS, VIEWER, ART)
     assert {p.shape[-1] for v in views for p in (v.source, v.target)} == {3}
     assert views[1].target[0, 0].tolist() == [1, 0, 0]
     assert (np.ptp(views[0].source, axis=-1) == 0).all()
@@ -105,6 +106,26 @@ def test_an_oblong_target_is_padded_to_a_square_at_its_own_resolution(grey_png: 
 
 def test_art_targets_have_1024_pixels() -> None:
     assert Target.model_validate({"art": "grey"}).raster(ART).shape == (1024, 1024, 1)
+
+
+def test_a_text_source_has_15_pixels_per_millimetre_and_fills_all_but_a_margin() -> None:
+    source = TextSource.model_validate({"type": "text", "text": "Who?"})
+    assert np.array_equal(source.raster(20, ART), text("Who?", 300))
+    assert source.raster(1000, ART).shape == (4096, 4096, 1)
+    assert str(source) == "text 'Who?'"
+
+
+def test_a_text_source_keeps_to_its_box() -> None:
+    source = TextSource.model_validate({"type": "text", "text": "Who?", "box": ["10%", "0%", "90%", "50%"]})
+    picture = source.raster(20, ART)
+    assert np.array_equal(picture, text("Who?", 300, (0.1, 0.0, 0.9, 0.5)))
+    assert (picture[150:] == 1).all()
+
+
+def test_text_targets_have_1024_pixels() -> None:
+    target = Target.model_validate({"text": "42"})
+    assert np.array_equal(target.raster(ART), text("42", 1024))
+    assert str(target) == "text '42'"
 
 
 def test_a_sources_size_becomes_the_lenss() -> None:

@@ -23,6 +23,7 @@ from toys import SPEC, SpecWriter
 
 SPECS = sorted((Path(__file__).parent.parent / "specs").glob("*.yaml"))
 
+CIRCLES = "{type: circles, seed: 7}"
 GAP = ("  facets: 4", "  facets: 4\n  gap: 100")
 WRONG: dict[str, tuple[tuple[str, str], str]] = {
     "bare number": (GAP, "9: lens.gap: 100 is a bare number; a length needs a unit, such as '100mm'"),
@@ -92,8 +93,47 @@ WRONG: dict[str, tuple[tuple[str, str], str]] = {
     ),
     "folder for a picture": (("{art: bat}", "{image: .}"), "4: scenario.targets.1.image: '{folder}' is a folder"),
     "number for a path": (("{art: bat}", "{image: 3}"), "4: scenario.targets.1.image: expected the path of a file"),
-    "neither image nor art": (("{art: bat}", "{}"), "4: scenario.targets.1: name a picture: {image: file.png} or"),
-    "both image and art": (("{art: bat}", "{image: grey.png, art: bat}"), "4: scenario.targets.1.art: give an image"),
+    "neither image nor art": (("{art: bat}", "{}"), "4: scenario.targets.1: name a picture: {image: file.png}, {art"),
+    "both image and art": (
+        ("{art: bat}", "{image: grey.png, art: bat}"),
+        "4: scenario.targets.1.art: give one of image and art, not both",
+    ),
+    "both image and text": (
+        ("{art: bat}", "{image: grey.png, text: bat}"),
+        "4: scenario.targets.1.text: give one of image and text, not both",
+    ),
+    "both art and text": (
+        ("{art: bat}", "{text: bat, art: bat}"),
+        "4: scenario.targets.1.text: give one of art and text, not both",
+    ),
+    "number for a text": (
+        ("{art: bat}", "{text: 42}"),
+        "4: scenario.targets.1.text: expected text, got 42; write it in quotes",
+    ),
+    "list for a text": (("{art: bat}", "{text: [a]}"), "4: scenario.targets.1.text: expected text, got a list"),
+    "empty text": (("{art: bat}", "{text: ' '}"), "4: scenario.targets.1.text: the text is empty; write at least one"),
+    "empty text source": ((CIRCLES, "{type: text, text: ''}"), "3: scenario.source.text: the text is empty; write"),
+    "text source without text": ((CIRCLES, "{type: text}"), "3: scenario.source.text: this key is required"),
+    "unknown text option": (
+        (CIRCLES, "{type: text, txt: Who}"),
+        "3: scenario.source.txt: unknown key; did you mean 'text'?",
+    ),
+    "letters that the font has not": (
+        (CIRCLES, "{type: text, text: 谁}"),
+        "3: scenario.source.text: the font has no '谁'; write the text in other letters",
+    ),
+    "a box of three": (
+        (CIRCLES, "{type: text, text: Who, box: [0%, 0%, 50%]}"),
+        "3: scenario.source.box: needs at least 4, has 3",
+    ),
+    "a box without unit": (
+        (CIRCLES, "{type: text, text: Who, box: [0%, 0%, 50%, 0.5]}"),
+        "3: scenario.source.box.3: 0.5 is a bare number; a share needs a unit, such as '50%'",
+    ),
+    "a box inside out": (
+        (CIRCLES, "{type: text, text: Who, box: [90%, 0%, 10%, 50%]}"),
+        "3: scenario.source.box: write left, top, right and bottom of a box inside the square, such as [10%,",
+    ),
     "target that is no mapping": (
         ("{art: bat}", "bat"),
         "4: scenario.targets.1: expected a mapping such as {key: value}, got 'bat'",
@@ -344,6 +384,11 @@ def test_the_specs_in_the_repository_compile_and_read_back_resolved(path: Path) 
         {"lens": {"facetts": 3}},
         {"scenario": {"type": "rotatin"}},
         {"scenario": {"type": "single", "source": {"type": "circles"}, "target": {"art": "nobody"}}},
+        {"scenario": {"type": "single", "source": {"type": "circles"}, "target": {"text": 42}}},
+        {"scenario": {"type": "single", "source": {"type": "circles"}, "target": {"text": "a", "art": "bat"}}},
+        {"scenario": {"type": "single", "source": {"type": "text"}, "target": {"art": "bat"}}},
+        {"scenario": {"type": "single", "source": {"type": "text", "text": ""}, "target": {"art": "bat"}}},
+        {"scenario": {"type": "single", "source": {"type": "text", "text": "a", "box": []}, "target": {"art": "bat"}}},
         {"pipeline": {"matcher": {"type": "exhaustive", "windw": "10%"}}},
         {"pipeline": {"exporters": [{"type": "nothing"}]}},
     ],
@@ -352,6 +397,17 @@ def test_the_schema_refuses_what_the_program_refuses(wrong: dict[str, Any], sche
     good = {"scenario": {"type": "single", "source": {"type": "circles"}, "target": {"art": "panda"}}}
     assert Draft7Validator(schema).is_valid(good)
     assert not Draft7Validator(schema).is_valid({**good, **wrong})
+
+
+def test_text_is_written_in_a_spec_and_read_back_resolved(
+    write_spec: SpecWriter, registry: Registry, schema: dict[str, Any]
+) -> None:
+    question = '{type: text, text: "Who was it?", box: [0%, 0%, 100%, 50%]}'
+    path = write_spec((CIRCLES, question), ("{art: bat}", "{text: Lincoln}"))
+    resolved = load_plan(path, registry=registry).resolved()["scenario"]
+    assert resolved["source"] == {"type": "text", "text": "Who was it?", "box": ["0%", "0%", "100%", "50%"]}
+    assert resolved["targets"] == [{"art": "panda"}, {"text": "Lincoln"}]
+    assert Draft7Validator(schema).is_valid({"scenario": resolved})
 
 
 def test_the_spec_of_these_tests_is_right(write_spec: SpecWriter, registry: Registry) -> None:

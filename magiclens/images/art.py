@@ -8,7 +8,7 @@ from functools import partial
 
 from magiclens.errors import InputError
 from magiclens.images.colour import FloatArray
-from magiclens.images.drawings import clipart
+from magiclens.images.drawings import answers, clipart
 from magiclens.images.drawings.flower import flower
 from magiclens.images.drawings.foliage import foliage
 from magiclens.images.drawings.truck import truck
@@ -66,6 +66,12 @@ SILHOUETTES = (
     clipart.fish,
     clipart.key,
     clipart.anchor,
+    answers.lincoln,
+    answers.washington,
+    answers.eiffel_tower,
+    answers.dinosaur,
+    answers.apple,
+    answers.lightbulb,
 )
 PAINTINGS = (flower, truck, foliage)
 

@@ -19,14 +19,15 @@ def draw(layers: Sequence[Layer], size_px: int, paper: Sequence[float] = (1.0,))
     return canvas
 
 
-def coverage(outlines: Sequence[FloatArray], shape: tuple[int, int]) -> FloatArray:
+def coverage(outlines: Sequence[FloatArray], shape: tuple[int, int], holes: bool = False) -> FloatArray:
     """(rows, columns) share 0..1 of each pixel's area inside the outlines, which are in pixels, (0, 0) at top left.
 
-    The signed area to the right of every edge is accumulated per pixel and summed along the rows: exact, but for
-    pixels in which outlines overlap partly.
+    Outlines unite whichever way they run; with ``holes``, one inside another that runs the other way round, such as
+    a letter's counter, cuts a hole into it. The signed area to the right of every edge is accumulated per pixel and
+    summed along the rows: exact, but for pixels in which outlines overlap partly.
     """
     rows, columns = shape
-    start, end = _pieces([_clockwise(outline) for outline in outlines])
+    start, end = _pieces(outlines if holes else [_clockwise(outline) for outline in outlines])
     x = np.clip((start[:, 0] + end[:, 0]) / 2, 0, columns)
     column, row = np.floor(x).astype(int), np.floor((start[:, 1] + end[:, 1]) / 2).astype(int)
     kept = (row >= 0) & (row < rows)

@@ -39,6 +39,16 @@ class Pool:
         self.offsets = np.zeros((facets, k, 2), np.float64)
         self.maps = np.zeros((facets, k, 3), np.float64)
 
+    @classmethod
+    def of(cls, candidates: Candidates) -> Pool:
+        """A pool of candidates that there are already."""
+        n, _, k = candidates.errors.shape
+        pool = cls(n * n, 0)
+        pool.errors = candidates.errors.reshape(n * n, k).copy()
+        pool.offsets = candidates.offsets_mm.reshape(n * n, k, 2).astype(np.float64) * (1, -1)
+        pool.maps = candidates.maps.reshape(n * n, k, 3).astype(np.float64) * (1, -1, 1)
+        return pool
+
     def sort(self) -> None:
         """Best first."""
         order = np.argsort(self.errors, axis=1, kind="stable")
@@ -87,12 +97,7 @@ def match(options: Exhaustive, scene: Scene, progress: Progress) -> Candidates:
     pool = Pool(len(tiles), math.ceil(math.sqrt(options.candidates)))
     window, step = options.window.mm(lens.source_size_mm) / 2, options.step.mm(lens.source_size_mm)
     search_all(options, scene, channels, tiles, centres, window, step, pool, progress)
-    if not np.isfinite(pool.errors).any(axis=1).all():
-        bad = int(np.flatnonzero(~np.isfinite(pool.errors).any(axis=1))[0])
-        raise InputError(
-            f"facet (row {bad // lens.facets}, column {bad % lens.facets}) reaches no patch of the source: "
-            "use a smaller window or scales, a thicker lens, a larger gap or max_slope, or a larger source"
-        )
+    unreached(pool, lens)
     pool.sort()
     fine = channels.tiles(lens.facets, 2 * options.pixels).reshape(len(tiles), -1, *(2 * options.pixels,) * 2)
     grain = seen_grain(scene)
@@ -110,6 +115,17 @@ def match(options: Exhaustive, scene: Scene, progress: Progress) -> Candidates:
     pool.drop(options.acceptance)
     pool.sort()
     return pool.candidates(lens, options.candidates)
+
+
+def unreached(pool: Pool, lens: Lens) -> None:
+    """Raise InputError naming the first facet without a candidate, if there is one."""
+    empty = np.flatnonzero(~np.isfinite(pool.errors).any(axis=1))
+    if len(empty):
+        row, column = divmod(int(empty[0]), lens.facets)
+        raise InputError(
+            f"facet (row {row}, column {column}) reaches no patch of the source: "
+            "use a smaller window or scales, a thicker lens, a larger gap or max_slope, or a larger source"
+        )
 
 
 def search_all(

@@ -24,24 +24,28 @@ def blur_levels(source: FloatArray, source_px_mm: float, grain_mm: float, widths
 
     A flat micro-facet shows a patch of its own size, ``grain_mm``, unmagnified: every level is averaged over that too.
     """
-    grained = _box_blur(source, grain_mm / source_px_mm)
-    return np.stack([to_display(_box_blur(grained, w / source_px_mm)) for w in widths_mm]).astype(np.float32)
+    grain = grain_mm / source_px_mm
+    grained = box_blur(source, grain, grain)
+    widths = [w / source_px_mm for w in widths_mm]
+    return np.stack([to_display(box_blur(grained, w, w)) for w in widths]).astype(np.float32)
 
 
-def _box_blur(image: FloatArray, width: float) -> FloatArray:
-    """Average of (C, H, W) over a centred square of ``width`` pixels, which need not be a whole number."""
+def box_blur(image: FloatArray, rows: float, columns: float) -> FloatArray:
+    """Average of (C, H, W) over centred boxes of so many pixels, which need not be whole numbers."""
     from scipy.ndimage import convolve1d
 
-    if width <= 1.0:
-        return image
-    whole = int((width - 1) / 2)
-    kernel = np.concatenate([[(width - 1) / 2 - whole], np.ones(2 * whole + 1), [(width - 1) / 2 - whole]]) / width
-    out: FloatArray = convolve1d(convolve1d(image, kernel, axis=1, mode="nearest"), kernel, axis=2, mode="nearest")
+    out = image
+    for axis, width in ((1, rows), (2, columns)):
+        if width > 1.0:
+            whole = int((width - 1) / 2)
+            rest = (width - 1) / 2 - whole
+            kernel = np.concatenate([[rest], np.ones(2 * whole + 1), [rest]]) / width
+            out = convolve1d(out, kernel, axis=axis, mode="nearest")
     return out
 
 
 @njit(cache=True, fastmath=True)
-def _sample(image, x, y):
+def sample(image, x, y):
     """Bilinear value and its derivatives per pixel at column x and row y."""
     h, w = image.shape
     x = min(max(x, 0.0), w - 1.001)
@@ -75,7 +79,7 @@ def _normal_equations(tile, levels, widths, per_mm, cx, cy, px, p, jtj, jtr, der
             x = (cx + p[0] + p[2] * u + p[3] * v) * per_mm + half_w
             y = (cy + p[1] + p[3] * u + p[4] * v) * per_mm + half_h
             for c in range(channels):
-                s, gx, gy = _sample(levels[level, c], x, y)
+                s, gx, gy = sample(levels[level, c], x, y)
                 r = s - tile[c, ky, kx]
                 total += r * r
                 if derive:
@@ -89,7 +93,7 @@ def _normal_equations(tile, levels, widths, per_mm, cx, cy, px, p, jtj, jtr, der
 
 
 @njit(cache=True)
-def _solve(jtj, jtr, damping, per_mm, isotropic, step):
+def solve(jtj, jtr, damping, per_mm, isotropic, step):
     """Damped Gauss-Newton step by Cholesky; isotropic: only the offset and one scale may change."""
     n = 3 if isotropic else PARAMETERS
     a = np.zeros((n, n))
@@ -138,7 +142,7 @@ def polish(
             damping = 1e-2
             best = _normal_equations(tiles[f], levels, widths, per_mm, cx, cy, px, p, jtj, jtr, k < most)
             for _ in range(iterations if k < most else 0):
-                _solve(jtj, jtr, damping, per_mm, isotropic, step)
+                solve(jtj, jtr, damping, per_mm, isotropic, step)
                 q[:] = p + step
                 spread_x = 0.5 * pitch * (abs(q[2]) + abs(q[3]))
                 spread_y = 0.5 * pitch * (abs(q[3]) + abs(q[4]))

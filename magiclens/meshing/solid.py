@@ -11,30 +11,36 @@ def grid_lines(lens: Lens) -> FloatArray:
     """(G,) float64: where the top's grid lines cross the x axis of the reference plane, mm, G = N (m + 1) + 2.
 
     Every facet owns m + 1 lines; a wall lies between the last line of one facet and the first of the next; half a wall
-    forms the rim. The y axis has the same lines, negated in order.
+    and the lens's bleed form the rim. The y axis has the same lines, negated in order.
     """
     side = lens.pitch_mm - lens.wall_mm
     within = np.linspace(-side / 2, side / 2, lens.microfacets + 1)
     centres = (np.arange(lens.facets) + 0.5) * lens.pitch_mm - lens.size_mm / 2
-    edge = lens.size_mm / 2
+    edge = lens.size_mm / 2 + lens.bleed_mm
     return np.concatenate([[-edge], (centres[:, None] + within).ravel(), [edge]])
 
 
 def height_grid(heights: HeightField) -> FloatArray:
-    """(G, G) heights on the grid lines, rows from +y down; the rim repeats its neighbour's height."""
+    """(G, G) heights on the grid lines, rows from +y down; the rim goes on with the slope of the outer micro-facets."""
     n, _, k, _ = heights.heights_mm.shape
-    return np.pad(heights.heights_mm.transpose(0, 2, 1, 3).reshape(n * k, n * k), 1, mode="edge")
+    inner = heights.heights_mm.transpose(0, 2, 1, 3).reshape(n * k, n * k)
+    lens = heights.lens
+    onward = lens.bleed_mm / (lens.pitch_mm - lens.wall_mm) * lens.microfacets
+    for _ in range(2):
+        first, last = inner[:1] - onward * (inner[1:2] - inner[:1]), inner[-1:] + onward * (inner[-1:] - inner[-2:-1])
+        inner = np.concatenate([first, inner, last]).T
+    return np.clip(inner, -lens.relief_mm, lens.relief_mm) if lens.bleed_mm else inner
 
 
 def solid_from_heights(heights: HeightField) -> Solid:
-    """The slab under a height field: top grid, sides along the cutting rays, flat bottom at z = 0."""
+    """The slab under a height field: top grid, sides along the cutting rays or flatter, flat bottom at z = 0."""
     lens, eye = heights.lens, heights.eye_mm
     lines = grid_lines(lens)
     h = height_grid(heights)
     u, v = np.meshgrid(lines, -lines)
     top = heights.points_mm(u, v, h)
     rim = _rim(len(lines))
-    floor = _drop(heights.points_mm(u, v, np.zeros_like(h)).reshape(-1, 3)[rim], eye)
+    floor = _spread(_drop(heights.points_mm(u, v, np.zeros_like(h)).reshape(-1, 3)[rim], eye), lens.floor_mm / 2)
     vertices = np.concatenate([top.reshape(-1, 3), floor, floor.mean(axis=0, keepdims=True)])
     first = len(lines) ** 2
     faces = np.concatenate([_top_faces(len(lines)), _side_faces(rim, first), _floor_faces(rim, first)])
@@ -55,6 +61,16 @@ def _drop(plane: FloatArray, eye: FloatArray | None) -> FloatArray:
     down: FloatArray = eye + (plane - eye) * (eye[2] / (eye[2] - plane[:, 2:]))
     down[:, 2] = 0.0
     return down
+
+
+def _spread(floor: FloatArray, half: float) -> FloatArray:
+    """Points of a rectangle's rim (V, 3) stretched until it holds the square of half side ``half`` about the axis."""
+    low, high = floor.min(axis=0), floor.max(axis=0)
+    wide = np.where(high > low, high - low, 1.0)
+    to_low, to_high = np.minimum(low, -half), np.maximum(high, half)
+    out: FloatArray = to_low + (floor - low) / wide * (to_high - to_low)
+    out[:, 2] = floor[:, 2]
+    return out
 
 
 def _rim(g: int) -> IntArray:

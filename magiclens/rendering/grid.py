@@ -21,6 +21,7 @@ class Grid:
     """us: (columns,) ascending. vs: (rows,) descending. ws: (rows, columns). points: (rows, columns, 3) mm.
 
     eye: (3,) of the cutting eye, or (0, 0, 0) if ``vertical``. plane: D, the eye's distance from the plane.
+    floor: (4,) lowest and highest x, lowest and highest y of the flat bottom, mm.
     """
 
     us: FloatArray
@@ -30,6 +31,7 @@ class Grid:
     eye: FloatArray
     plane: float
     vertical: bool
+    floor: FloatArray
 
 
 def grid_of(solid: Solid, lens: Lens) -> Grid:
@@ -38,10 +40,18 @@ def grid_of(solid: Solid, lens: Lens) -> Grid:
         raise InputError("the built-in tracer needs the top's regular grid, which a finisher has removed; use mitsuba")
     rows, columns = solid.grid
     points = solid.vertices[: rows * columns].reshape(rows, columns, 3)
+    floor = _floor(solid.vertices[rows * columns :])
     if solid.eye_mm is None:
         us, vs, ws = points[0, :, 0].copy(), points[:, 0, 1].copy(), points[..., 2].copy()
-        return Grid(us, vs, ws, points, np.zeros(3), 1.0, True)
+        return Grid(us, vs, ws, points, np.zeros(3), 1.0, True, floor)
     eye, plane = solid.eye_mm, float(solid.eye_mm[2] - lens.thickness_mm)
     w = plane / (eye[2] - points[..., 2])
     flat = eye[:2] + (points[..., :2] - eye[:2]) * w[..., None]
-    return Grid(flat[0, :, 0].copy(), flat[:, 0, 1].copy(), w, points, eye, plane, False)
+    return Grid(flat[0, :, 0].copy(), flat[:, 0, 1].copy(), w, points, eye, plane, False, floor)
+
+
+def _floor(below: FloatArray) -> FloatArray:
+    """The rectangle that the vertices of sides and bottom span; everything if there are none."""
+    if not len(below):
+        return np.array([-np.inf, np.inf, -np.inf, np.inf])
+    return np.stack([below[:, :2].min(axis=0), below[:, :2].max(axis=0)], axis=-1).ravel()

@@ -35,7 +35,8 @@ def trace(solid: Solid, lens: Lens, view: View, resolution: int, samples: int) -
     eye = view.in_lens_frame().eye_mm
     hits: FloatArray = _trace(
         grid.us, grid.vs, grid.ws, grid.points, grid.eye, grid.plane, grid.vertical, float(grid.points[..., 2].max()),
-        np.ascontiguousarray(eye), lens.size_mm, lens.thickness_mm, lens.gap_mm, lens.ior, resolution, samples,
+        grid.floor, np.ascontiguousarray(eye),
+        lens.size_mm, lens.thickness_mm, lens.gap_mm, lens.ior, resolution, samples,
     )
     return hits
 
@@ -196,7 +197,7 @@ def _to_source(x, y, z, dx, dy, dz, weight, gap, ior, out):
 
 
 @njit(cache=True)
-def _follow(us, vs, ws, points, cut_eye, plane, vertical, top, eye, qx, qy, qz, gap, ior, normal, found, out):
+def _follow(us, vs, ws, points, cut_eye, plane, vertical, top, floor, eye, qx, qy, qz, gap, ior, normal, found, out):
     """The path from the eye through (qx, qy, qz) on the reference plane; out = source x, y and transmission."""
     out[2] = 0.0
     dx, dy, dz = qx - eye[0], qy - eye[1], qz - eye[2]
@@ -222,7 +223,11 @@ def _follow(us, vs, ws, points, cut_eye, plane, vertical, top, eye, qx, qy, qz, 
         u1, v1, w1 = _to_grid(x + dx * reach, y + dy * reach, z + dz * reach, cut_eye, plane, vertical)
         at = _march(us, vs, ws, u0, v0, w0, u1, v1, w1, r, c, skip, inside, found)
         if at >= 2.0:
-            if inside and at == 2.0 and dz < 0.0:
+            lands = inside and dz < 0.0
+            if lands and at == 3.0:  # beyond the last facet the slab goes on as far as its sides lean out
+                fx, fy = x - dx * z / dz, y - dy * z / dz
+                lands = floor[0] <= fx <= floor[1] and floor[2] <= fy <= floor[3]
+            if lands:
                 _to_source(x, y, z, dx, dy, dz, weight, gap, ior, out)
             return
         u0, v0, w0 = u0 + at * (u1 - u0), v0 + at * (v1 - v0), w0 + at * (w1 - w0)
@@ -244,7 +249,7 @@ def _follow(us, vs, ws, points, cut_eye, plane, vertical, top, eye, qx, qy, qz, 
 
 
 @njit(cache=True, parallel=True)
-def _trace(us, vs, ws, points, cut_eye, plane, vertical, top, eye, size, depth, gap, ior, resolution, samples):
+def _trace(us, vs, ws, points, cut_eye, plane, vertical, top, floor, eye, size, depth, gap, ior, resolution, samples):
     hits = np.zeros((resolution, resolution, samples * samples, 3), np.float32)
     sub = size / (resolution * samples)
     for i in prange(resolution):
@@ -254,7 +259,8 @@ def _trace(us, vs, ws, points, cut_eye, plane, vertical, top, eye, size, depth, 
                 qx = (j * samples + k % samples + 0.5) * sub - 0.5 * size
                 qy = 0.5 * size - (i * samples + k // samples + 0.5) * sub
                 _follow(
-                    us, vs, ws, points, cut_eye, plane, vertical, top, eye, qx, qy, depth, gap, ior, normal, found, out
+                    us, vs, ws, points, cut_eye, plane, vertical, top, floor, eye, qx, qy, depth, gap, ior,
+                    normal, found, out,
                 )
                 hits[i, j, k, 0], hits[i, j, k, 1], hits[i, j, k, 2] = out[0], out[1], out[2]
     return hits

@@ -13,8 +13,8 @@ from magiclens.artifacts import Assignment, Candidates, FloatArray, HeightField,
 class RunData:
     """Everything a run has made. Equal runs have equal data: the manifest has no timings and no file list yet.
 
-    given: the scene before an encoder edited its sources; ``scene`` itself if there is none. first: each facet's best candidate, what annealing started from. renders: by renderer type, one picture per view,
-    (R, R, C) float32, linear light.
+    given: the scene before an encoder edited its sources; ``scene`` itself if there is none. first: each facet's best
+    candidate, what annealing started from. renders: by renderer type, one picture per view, (R, R, C) float32, linear.
     """
 
     given: Scene

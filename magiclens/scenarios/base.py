@@ -53,13 +53,19 @@ class Scenario(SpecModel, ABC):
         return None
 
     def fit(self, lens: Lens, viewer: Viewer) -> Lens:
-        """The lens with the source size that the shots agree on. Raises ValueError if they do not."""
-        sizes = {lens.size_mm if s.source.size is None else s.source.size for s in self.shots(lens, viewer)}
+        """The lens with the source size that the shots agree on, and a floor for all eyes. Raises ValueError if not."""
+        shots = self.shots(lens, viewer)
+        sizes = {lens.size_mm if s.source.size is None else s.source.size for s in shots}
         if len(sizes) > 1:
             raise ValueError(f"all sources need the same size, found {', '.join(f'{s:g}mm' for s in sorted(sizes))}")
-        return replace(lens, source_size_mm=sizes.pop())
+        several = len({tuple(s.eye_mm) for s in shots}) > 1
+        size = sizes.pop()
+        if not several:
+            return replace(lens, source_size_mm=size)
+        floor = min(size, lens.size_mm + lens.thickness_mm)
+        return replace(lens, source_size_mm=size, bleed_mm=lens.pitch_mm / 2, floor_mm=floor)
 
-    def views(self, lens: Lens, viewer: Viewer, art: Art) -> tuple[View, ...]:
+    def compiled(self, lens: Lens, viewer: Viewer, art: Art) -> tuple[View, ...]:
         """The shots with their pictures; all have one channel if every picture is grey, else three."""
         return take(self.shots(lens, viewer), lens, art)
 

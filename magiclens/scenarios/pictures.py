@@ -7,12 +7,21 @@ from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationInfo,
+    WithJsonSchema,
+    field_validator,
+    model_validator,
+)
 
 from magiclens.artifacts import FloatArray
 from magiclens.spec.fields import ArtName, ImageFile
 from magiclens.spec.model import SpecModel
-from magiclens.units import Length
+from magiclens.units import Fraction, Length
 
 Art = Mapping[str, Callable[[int], FloatArray]]
 """Named pictures: from a size in pixels to (size, size, C) linear light."""
@@ -22,6 +31,25 @@ SOURCE_PX_PER_MM = 15.0
 
 LARGEST_PX = 4096
 TARGET_ART_PX = 1024
+
+
+def _quoted(value: object) -> object:
+    if isinstance(value, int | float):
+        raise ValueError(f"expected text, got {value!r}; write it in quotes")
+    return value
+
+
+def _readable(words: str) -> str:
+    from magiclens.images.text import check_words
+
+    check_words(words)
+    return words
+
+
+Words = Annotated[
+    str, BeforeValidator(_quoted), AfterValidator(_readable), WithJsonSchema({"type": "string", "minLength": 1})
+]
+"""A text that can be shown as a picture."""
 
 
 class _Source(SpecModel, ABC):
@@ -97,43 +125,83 @@ class ArtSource(_Source):
         return f"art {self.name}"
 
 
-Source = Annotated[Circles | ImageSource | ArtSource, Field(discriminator="type")]
-"""What lies below the lens: generated, a file, or built-in art."""
+class TextSource(_Source):
+    """Readable text, bold black on white, as large as fits."""
+
+    type: Literal["text"]
+    text: Words = Field(description="what to write; line breaks are kept, others made where they are needed")
+    box: list[Fraction] = Field(
+        ["6%", "6%", "94%", "94%"],
+        validate_default=True,
+        min_length=4,
+        max_length=4,
+        description="left, top, right and bottom of the text in the square",
+    )
+
+    @field_validator("box")
+    @classmethod
+    def _inside(cls, value: list[float]) -> list[float]:
+        from magiclens.images.text import check_box
+
+        check_box(value)
+        return value
+
+    def raster(self, size_mm: float, art: Art) -> FloatArray:
+        """(S, S, 1) float32, linear light."""
+        from magiclens.images.text import text
+
+        left, top, right, bottom = self.box
+        return text(self.text, _pixels(size_mm), (left, top, right, bottom))
+
+    def __str__(self) -> str:
+        return f"text {self.text!r}"
+
+
+Source = Annotated[Circles | ImageSource | ArtSource | TextSource, Field(discriminator="type")]
+"""What lies below the lens: generated, a file, built-in art, or text."""
 
 
 class Target(SpecModel):
-    """What the eye shall see: a picture file, or built-in art by its name."""
+    """What the eye shall see: a picture file, built-in art by its name, or text."""
 
-    model_config = ConfigDict(json_schema_extra={"oneOf": [{"required": ["image"]}, {"required": ["art"]}]})
+    model_config = ConfigDict(json_schema_extra={"oneOf": [{"required": [key]} for key in ("image", "art", "text")]})
 
     image: ImageFile | None = Field(None, description="picture file, relative to the spec")
     art: ArtName | None = Field(None, description="name of a built-in picture")
+    text: Words | None = Field(None, description="what to write, black on white, as large as fits")
 
     @model_validator(mode="before")
     @classmethod
     def _some(cls, data: Any) -> Any:
         if isinstance(data, dict) and not {key for key, value in data.items() if value is not None}:
-            raise ValueError("name a picture: {image: file.png} or {art: panda}")
+            raise ValueError('name a picture: {image: file.png}, {art: panda} or {text: "42"}')
         return data
 
-    @field_validator("art")
+    @field_validator("art", "text")
     @classmethod
     def _one(cls, value: str | None, info: ValidationInfo) -> str | None:
-        if value is not None and info.data.get("image"):
-            raise ValueError("give an image or art, not both")
+        others = [key for key, other in info.data.items() if other is not None]
+        if value is not None and others:
+            raise ValueError(f"give one of {others[0]} and {info.field_name}, not both")
         return value
 
     def raster(self, art: Art) -> FloatArray:
         """(S, S, C) float32, linear light: files at their own resolution, padded to a square."""
         if self.art is not None:
             return art[self.art](TARGET_ART_PX)
+        if self.text is not None:
+            from magiclens.images.text import text
+
+            return text(self.text, TARGET_ART_PX)
         from magiclens.images.files import read_image
         from magiclens.images.resample import square
 
         return square(read_image(self.image or ""))
 
     def __str__(self) -> str:
-        return self.image.name if self.image else f"art {self.art}"
+        if self.image is not None:
+            return self.image.name
+        return f"art {self.art}" if self.art is not None else f"text {self.text!r}"
 
 
 def _pixels(size_mm: float) -> int:

@@ -63,11 +63,10 @@ class Checker:
 def _as_in_yaml(loc: Keys, data: Any) -> tuple[Keys, Any]:
     """Pydantic's location without the names of union members, and the value that stands there."""
     keys: list[str | int] = []
-    node = data
+    node, named = data, False
     for step in loc:
-        below = child(node, step)
-        if below is None and isinstance(node, dict) and node.get("type") == step:
-            continue
-        keys.append(step)
-        node = below
+        named = not named and isinstance(node, dict) and node.get("type") == step
+        if not named:
+            keys.append(step)
+            node = child(node, step)
     return tuple(keys), node

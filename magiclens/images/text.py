@@ -1,0 +1,159 @@
+"""Readable text as a picture: bold black letters on white paper, as large as a box lets them be."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from magiclens.images.colour import FloatArray
+from magiclens.images.raster import coverage
+
+Box = tuple[float, float, float, float]
+"""Left, top, right and bottom as shares 0..1 of the square."""
+
+MARGIN = 0.06
+SPACE = 0.4
+"""White between two words of a line, in em (the size of the font)."""
+LEADING = 1.15
+"""From one line's base to the next, in em."""
+FLATNESS = 64
+"""Outlines are flattened at this many times the size in which matplotlib gives them, 100 units per em."""
+
+
+@dataclass(frozen=True)
+class _Word:
+    """Outlines in em, x from the left edge of the ink, y down from the base line; the ink's extents."""
+
+    outlines: tuple[FloatArray, ...]
+    width: float
+    top: float
+    bottom: float
+
+
+_Line = tuple[_Word, ...]
+
+
+def text(words: str, size_px: int, box: Box = (MARGIN, MARGIN, 1 - MARGIN, 1 - MARGIN)) -> FloatArray:
+    """(size_px, size_px, 1) float32, linear light: the words, broken into centred lines so that they fill the box.
+
+    Line breaks in ``words`` are kept. ValueError for a text that is empty or has letters that the font has not, and
+    for a box that is none.
+    """
+    check_words(words)
+    check_box(box)
+    lines = _largest([_words(line) for line in words.strip().splitlines()], box)
+    outlines = [outline * size_px for outline in _placed(lines, box)]
+    ink = coverage(outlines, (size_px, size_px), holes=True)
+    return np.asarray(1 - ink[..., None], np.float32)
+
+
+def check_words(words: str) -> None:
+    """ValueError for a text that cannot be shown."""
+    from matplotlib.ft2font import FT2Font
+
+    font = FT2Font(str(_font_file()))
+    letters = "".join(words.split())
+    unknown = [letter for letter in letters if not font.get_char_index(ord(letter))]
+    if unknown:
+        raise ValueError(f"the font has no {unknown[0]!r}; write the text in other letters")
+    if not any(_word(word).outlines for word in words.split()):
+        raise ValueError("the text is empty; write at least one word")
+
+
+def check_box(box: Sequence[float]) -> None:
+    """ValueError for numbers that are no box."""
+    left, top, right, bottom = box
+    if not (0 <= left < right <= 1 and 0 <= top < bottom <= 1):
+        raise ValueError("write left, top, right and bottom of a box inside the square, such as [10%, 10%, 90%, 50%]")
+
+
+def _font_file() -> Path:
+    """The font that comes with matplotlib, so that text looks the same everywhere."""
+    import matplotlib
+
+    return Path(matplotlib.get_data_path(), "fonts", "ttf", "DejaVuSans-Bold.ttf")
+
+
+def _words(line: str) -> _Line:
+    """The words of a line that leave ink."""
+    return tuple(word for word in map(_word, line.split()) if word.outlines)
+
+
+def _word(letters: str) -> _Word:
+    """One word, kerned."""
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.path import Path as Curves
+    from matplotlib.textpath import TextToPath
+    from matplotlib.transforms import Affine2D
+
+    vertices, codes = TextToPath().get_text_path(FontProperties(fname=_font_file()), letters)
+    if len(vertices) == 0:
+        return _Word((), 0.0, 0.0, 0.0)
+    per_em = TextToPath.FONT_SCALE * FLATNESS
+    polygons = Curves(vertices, codes).to_polygons(Affine2D().scale(FLATNESS, -FLATNESS))
+    outlines = [np.asarray(polygon) / per_em for polygon in polygons]
+    (left, top), (right, bottom) = (bound(np.concatenate(outlines), axis=0) for bound in (np.min, np.max))
+    return _Word(tuple(outline - (left, 0) for outline in outlines), right - left, top, bottom)
+
+
+def _largest(lines: Sequence[_Line], box: Box) -> Sequence[_Line]:
+    """The lines broken so that the letters are as large as possible in the box; of several ways the narrowest."""
+    return max(_wrappings(lines), key=lambda wrapped: _scale(wrapped, box))
+
+
+def _wrappings(lines: Sequence[_Line]) -> Iterator[Sequence[_Line]]:
+    """Every way to break lines that are filled greedily up to one width, from one word's width to no break at all."""
+    width = max(word.width for line in lines for word in line)
+    while True:
+        wrapped = [_wrap(line, width) for line in lines]
+        yield [line for broken in wrapped for line in broken]
+        wider = [_width((*line, after[0])) for broken in wrapped for line, after in pairwise(broken)]
+        if not wider:
+            return
+        width = min(wider)
+
+
+def _wrap(words: _Line, width: float) -> list[_Line]:
+    """One line broken greedily into lines of at most that width; a line without words stays one."""
+    broken: list[_Line] = [()]
+    for word in words:
+        longer = (*broken[-1], word)
+        if _width(longer) <= width:
+            broken[-1] = longer
+        else:
+            broken.append((word,))
+    return broken
+
+
+def _width(line: _Line) -> float:
+    return sum(word.width for word in line) + SPACE * max(len(line) - 1, 0)
+
+
+def _extents(lines: Sequence[_Line]) -> tuple[float, float, float]:
+    """Width, top and bottom of the ink in em, from the first line's base."""
+    tops = [k * LEADING + word.top for k, line in enumerate(lines) for word in line]
+    bottoms = [k * LEADING + word.bottom for k, line in enumerate(lines) for word in line]
+    return max(map(_width, lines)), min(tops), max(bottoms)
+
+
+def _scale(lines: Sequence[_Line], box: Box) -> float:
+    """Size of the font, as a share of the square, at which the lines just fit into the box."""
+    width, top, bottom = _extents(lines)
+    return min((box[2] - box[0]) / width, (box[3] - box[1]) / (bottom - top))
+
+
+def _placed(lines: Sequence[_Line], box: Box) -> Iterator[FloatArray]:
+    """The outlines as shares of the square, in the middle of the box."""
+    scale = _scale(lines, box)
+    _, top, bottom = _extents(lines)
+    middle = np.array([box[0] + box[2], box[1] + box[3]]) / 2
+    for k, line in enumerate(lines):
+        pen = np.array([-_width(line) / 2, k * LEADING - (top + bottom) / 2])
+        for word in line:
+            for outline in word.outlines:
+                yield (outline + pen) * scale + middle
+            pen[0] += word.width + SPACE

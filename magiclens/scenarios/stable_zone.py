@@ -1,0 +1,47 @@
+"""One picture that stays while the eye moves a little (section 7, figure 14)."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from magiclens.artifacts import FloatArray, Lens
+from magiclens.scenarios.base import Scenario, Shot
+from magiclens.scenarios.pictures import Source, Target
+from magiclens.spec.model import Choice, Viewer
+from magiclens.units import Angle
+
+
+class StableZone(Scenario):
+    """The same picture for nine eyes in a circular cross: the middle, four on an inner and four on an outer cone."""
+
+    type: ClassVar[str] = "stable-zone"
+
+    source: Source = Field(description="what lies below the lens")
+    target: Target = Field(description="what all eyes shall see")
+    cone: Angle = Field(
+        "1.15deg", validate_default=True, gt=0, lt=60,
+        description="apex of the inner viewing cone; the outer one's is twice as wide",
+    )
+
+    def suited(self) -> dict[str, Choice]:
+        """Nine eyes need the matcher for several."""
+        return {"matcher": {"type": "multi-view"}}
+
+    def shots(self, lens: Lens, viewer: Viewer) -> tuple[Shot, ...]:
+        """The middle first; every eye is as far from the reference plane as the viewer."""
+        middle = viewer.eye_mm(lens)
+        eyes = {"centre": middle}
+        for ring, apex in (("inner", self.cone), ("outer", 2 * self.cone)):
+            for k, name in enumerate(("right", "up", "left", "down")):
+                eyes[f"{ring}-{name}"] = middle + away(apex / 2, 90.0 * k, viewer.distance)
+        return tuple(Shot(name, self.source, self.target, eye) for name, eye in eyes.items())
+
+
+def away(tilt_deg: float, azimuth_deg: float, distance_mm: float) -> FloatArray:
+    """(3,) how far an eye that tilts about the lens's centre moves, staying at its distance from the plane."""
+    tilt, azimuth = np.radians([tilt_deg, azimuth_deg])
+    moved: FloatArray = distance_mm * np.tan(tilt) * np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    return moved
