@@ -142,13 +142,15 @@ class Candidates(_ReadOnly):
 
     offsets_mm: (N, N, K, 2) float32. maps: (N, N, K, 3) float32 as (xx, xy, yy).
     errors: (N, N, K) float32, mean squared difference of display values (0..1), the distance term included;
-    inf where a facet has fewer than K candidates.
+    inf where a facet has fewer than K candidates. heights_mm: (N, N), where facets stand for whom the errors hold, for
+    matchers that care; None is the reference plane.
     """
 
     offsets_mm: FloatArray
     maps: FloatArray
     errors: FloatArray
     metrics: Mapping[str, float] = field(default_factory=dict)
+    heights_mm: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -192,6 +194,12 @@ class HeightField(_ReadOnly):
     heights_mm: FloatArray
     eye_mm: FloatArray | None
     metrics: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def levels_mm(self) -> FloatArray:
+        """(N, N) mean height of each facet."""
+        levels: FloatArray = self.heights_mm.mean(axis=(2, 3))
+        return levels
 
     def points_mm(self, u: FloatArray, v: FloatArray, heights: FloatArray) -> FloatArray:
         """(..., 3) where vertices at (u, v) with these heights lie; the three arrays broadcast."""
@@ -243,6 +251,9 @@ class Transport:
 
     def see(self, source: FloatArray) -> FloatArray:
         """(rows, columns, C) float32, linear light: the picture of a source (source_rows, source_columns, C)."""
-        flat = self.matrix @ source.reshape(self.source_shape[0] * self.source_shape[1], -1)
-        seen: FloatArray = flat.reshape(*self.shape, -1).astype(np.float32)
+        from magiclens.optics.sparse import times
+
+        a, pixels = self.matrix, self.source_shape[0] * self.source_shape[1]
+        flat = np.ascontiguousarray(source.reshape(pixels, -1), np.float32)
+        seen: FloatArray = times(a.indptr, a.indices, a.data, flat).reshape(*self.shape, -1)
         return seen

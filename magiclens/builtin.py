@@ -21,7 +21,13 @@ def mlens_stages() -> Sequence[type[Stage]]:
     """Every built-in stage, in pipeline order."""
     from magiclens.annealing.heat_bath import HeatBath
     from magiclens.annealing.metropolis import Metropolis
+    from magiclens.fabrication.gltf import Glb
+    from magiclens.fabrication.height_map import HeightMap
     from magiclens.fabrication.mesh_files import Obj, Ply, Stl
+    from magiclens.fabrication.monitor import Monitor
+    from magiclens.fabrication.sheet import Sheet
+    from magiclens.fabrication.slices import Slices
+    from magiclens.fabrication.three_mf import ThreeMf
     from magiclens.integration.least_squares import LeastSquares
     from magiclens.integration.poisson import Poisson
     from magiclens.matching.exhaustive import Exhaustive
@@ -31,18 +37,20 @@ def mlens_stages() -> Sequence[type[Stage]]:
     from magiclens.rendering.tracer import Tracer
 
     design: list[type[Stage]] = [Exhaustive, MultiView, HeatBath, Metropolis, Poisson, LeastSquares, Pymeshlab]
-    return [*design, Stl, Ply, Obj, Tracer, Mitsuba]
+    fabrication: list[type[Stage]] = [Stl, Ply, Obj, ThreeMf, Glb, HeightMap, Slices, Sheet, Monitor]
+    return [*design, *fabrication, Tracer, Mitsuba]
 
 
 @hookimpl
 def mlens_scenarios() -> Sequence[type[Scenario]]:
     """Every built-in scenario."""
+    from magiclens.scenarios.multi_pair import MultiPair
     from magiclens.scenarios.multi_view import MultiView
     from magiclens.scenarios.rotating import Rotating
     from magiclens.scenarios.single import Single
     from magiclens.scenarios.stable_zone import StableZone
 
-    return [Single, Rotating, MultiView, StableZone]
+    return [Single, Rotating, MultiPair, MultiView, StableZone]
 
 
 @hookimpl

@@ -113,6 +113,55 @@ def schema() -> None:
     typer.echo(json.dumps(json_schema(registry.classes(SCENARIO), stages, registry.types(ART)), indent=2))
 
 
+RunFolder = Annotated[Path, typer.Argument(metavar="RUN_DIR", help="A finished run folder.", show_default=False)]
+Seen = Annotated[
+    str | None, typer.Option("--view", metavar="NAME", help="Through which view's eye; the first by default.")
+]
+
+
+@app.command()
+def encode(
+    run_dir: RunFolder,
+    pictures: Annotated[
+        Path, typer.Argument(metavar="PICTURES", help="A picture, or a folder, GIF or MP4.", show_default=False)
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="OUT", help="A PNG, GIF or MP4, or a folder.", show_default=False)
+    ],
+    view: Seen = None,
+    traceback: Traceback = False,
+) -> None:
+    """Paint the source that shows PICTURES through the universal lens of RUN_DIR."""
+    with _reporting(traceback):
+        from magiclens.frames import convert
+        from magiclens.reopen import reopen
+
+        lens = reopen(run_dir)
+        scale = len(lens.view(view).source) / lens.plan.lens.source_size_mm
+        typer.echo(convert(lambda frames: lens.encode(frames, view), pictures, out, scale))
+
+
+@app.command()
+def decode(
+    run_dir: RunFolder,
+    sources: Annotated[
+        Path, typer.Argument(metavar="SOURCES", help="A source, or a folder, GIF or MP4 of them.", show_default=False)
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="OUT", help="A PNG, GIF or MP4, or a folder.", show_default=False)
+    ],
+    view: Seen = None,
+    traceback: Traceback = False,
+) -> None:
+    """Show what the eye sees through the lens of RUN_DIR when SOURCES lie below it."""
+    with _reporting(traceback):
+        from magiclens.frames import convert
+        from magiclens.reopen import reopen
+
+        lens = reopen(run_dir)
+        typer.echo(convert(lambda frames: lens.decode(frames, view), sources, out))
+
+
 @contextmanager
 def _reporting(traceback: bool) -> Iterator[None]:
     """Turn errors into one message and an exit code."""

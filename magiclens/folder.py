@@ -9,9 +9,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
+
+from magiclens.artifacts import FloatArray, Lens, Solid
 from magiclens.errors import InputError
 
 MANIFEST = "manifest.json"
+HEIGHTS = "heights.npz"
+"""The top of the finished lens, from which it is traced again without designing it anew."""
 
 
 @contextmanager
@@ -29,6 +34,25 @@ def appearing(out: Path) -> Iterator[Path]:
         _swap(partial, out)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
+
+
+def save_heights(solid: Solid, lens: Lens, folder: Path) -> None:
+    """Keep the heights of a solid that still has its facets' grid."""
+    from magiclens.meshing.solid import heights_of
+
+    heights = heights_of(solid, lens)
+    if heights is not None:
+        np.savez_compressed(folder / HEIGHTS, heights_mm=heights.astype(np.float32))
+
+
+def load_heights(folder: Path) -> FloatArray:
+    """(N, N, m + 1, m + 1) float64, mm. Raises InputError if the folder has none."""
+    path = folder / HEIGHTS
+    if not path.is_file():
+        raise InputError(f"there is no {HEIGHTS}: its finisher made a mesh that cannot be traced again", str(folder))
+    with np.load(path) as stored:
+        heights: FloatArray = stored["heights_mm"].astype(np.float64)
+    return heights
 
 
 def _refuse_strangers(out: Path) -> None:

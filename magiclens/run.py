@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from collections import defaultdict
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from time import perf_counter
@@ -25,7 +25,7 @@ from magiclens.checks import (
     check_solid,
 )
 from magiclens.errors import StageError
-from magiclens.folder import appearing
+from magiclens.folder import appearing, save_heights
 from magiclens.manifest import (
     Scores,
     manifest,
@@ -37,7 +37,7 @@ from magiclens.manifest import (
 from magiclens.observers import Observer
 from magiclens.plan import Plan, Step, load_plan
 from magiclens.registry import blaming
-from magiclens.report.data import RunData
+from magiclens.report.data import RunData, Zone
 from magiclens.spec.fields import Inputs
 from magiclens.stages import KINDS, Exporter, Progress, Renderer
 
@@ -127,6 +127,13 @@ class _Worker:
             return artifact
 
 
+class _Aside(_Worker):
+    """Works on what is not the run's lens, so nobody is told."""
+
+    def tell(self, hook: str, **facts: Any) -> None:
+        """Nothing."""
+
+
 def _make(plan: Plan, folder: Path, worker: _Worker) -> RunData:
     """Fill a run folder with everything but the manifest."""
     from magiclens.report.write import write_report
@@ -143,18 +150,22 @@ def _make(plan: Plan, folder: Path, worker: _Worker) -> RunData:
     solid = worker.stage(plan.finisher, lambda p: plan.finisher.stage.finish(given, rough, p), check_solid)
     scene = _encode(plan, given, solid, rng, worker)
     _write_pictures(scene, folder)
+    save_heights(solid, plan.lens, folder)
     for exporter in plan.exporters:
         _export(exporter, scene, solid, folder, worker)
     renders = {step.stage.type: _render(step, scene, solid, folder, worker) for step in plan.renderers}
     made = (candidates, assignment, height_field, rough, solid)
     first = Assignment.pick(candidates, candidates.errors.argmin(axis=-1))
-    metrics = worker.part("bounds", partial(_bounds, scene, first, assignment))
+    metrics = worker.part("bounds", partial(_bounds, scene, candidates, first, assignment, height_field))
     metrics |= {name: value for artifact in made for name, value in artifact.metrics.items()}
+    zone = _zone(plan, given, scene, rough, worker)
+    if zone:
+        metrics |= zone.metrics
     if plan.encoder:
         metrics |= _changes(given, scene)
         _write_sources(given, folder, "given")
     facts = manifest(plan, inputs, scene, metrics, _scores(scene, renders))
-    data = RunData(given, scene, candidates, first, assignment, height_field, solid, renders, facts)
+    data = RunData(given, scene, candidates, first, assignment, height_field, solid, renders, facts, zone)
     worker.part("report", partial(write_report, data, folder))
     return data
 
@@ -219,11 +230,28 @@ def _changes(given: Scene, scene: Scene) -> dict[str, float]:
     }
 
 
-def _bounds(scene: Scene, first: Assignment, assignment: Assignment) -> dict[str, float]:
+def _bounds(
+    scene: Scene, candidates: Candidates, first: Assignment, assignment: Assignment, built: HeightField
+) -> dict[str, float]:
     """PSNR if every facet realised its best candidate, or its assigned one, exactly."""
     from magiclens.matching.predict import bound_psnr_db
 
-    return {"matching_psnr_db": bound_psnr_db(scene, first), "assigned_psnr_db": bound_psnr_db(scene, assignment)}
+    return {
+        "matching_psnr_db": bound_psnr_db(scene, first, candidates.heights_mm),
+        "assigned_psnr_db": bound_psnr_db(scene, assignment, built.levels_mm),
+    }
+
+
+def _zone(plan: Plan, given: Scene, scene: Scene, solid: Solid, worker: _Worker) -> Zone | None:
+    """If all eyes shall see the same: what they see in between, beside a lens that was made for the first eye alone."""
+    from magiclens.zone import measure, rings
+
+    if not rings(given):
+        return None
+    rng, aside, first = _generators(plan.spec.seed), _Aside(plan, Observer()), replace(given, views=given.views[:1])
+    *_, plain = worker.part("plain lens", partial(_design, plan, first, rng, aside), plan.lens.facets**2)
+    plain_scene = _encode(plan, first, plain, rng, aside)
+    return worker.part("stable zone", partial(measure, scene, solid, plain_scene, plain))
 
 
 def _shape(

@@ -48,6 +48,21 @@ def solid_from_heights(heights: HeightField) -> Solid:
     return Solid(vertices, solid.faces, h.shape, eye, {"volume_mm3": volume(solid)})
 
 
+def heights_of(solid: Solid, lens: Lens) -> FloatArray | None:
+    """(N, N, m + 1, m + 1) heights as of ``HeightField``, read back from a solid; None if it lost the lens's grid."""
+    lines = len(grid_lines(lens))
+    if solid.grid != (lines, lines):
+        return None
+    z = solid.vertices[: lines**2, 2].reshape(lines, lines)[1:-1, 1:-1]
+    if solid.eye_mm is None:
+        h = z - lens.thickness_mm
+    else:
+        far = solid.eye_mm[2] - lens.thickness_mm
+        h = -far * np.log((solid.eye_mm[2] - z) / far)
+    n, k = lens.facets, lens.microfacets + 1
+    return h.reshape(n, k, n, k).transpose(0, 2, 1, 3)
+
+
 def volume(solid: Solid) -> float:
     """Volume in mm^3 (divergence theorem), positive for outward normals."""
     a, b, c = (solid.vertices[solid.faces[:, k]] for k in range(3))
@@ -65,6 +80,8 @@ def _drop(plane: FloatArray, eye: FloatArray | None) -> FloatArray:
 
 def _spread(floor: FloatArray, half: float) -> FloatArray:
     """Points of a rectangle's rim (V, 3) stretched until it holds the square of half side ``half`` about the axis."""
+    if half <= 0.0:
+        return floor
     low, high = floor.min(axis=0), floor.max(axis=0)
     wide = np.where(high > low, high - low, 1.0)
     to_low, to_high = np.minimum(low, -half), np.maximum(high, half)

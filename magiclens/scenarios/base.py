@@ -70,6 +70,12 @@ class Scenario(SpecModel, ABC):
         return take(self.shots(lens, viewer), lens, art)
 
 
+def toward(azimuth_deg: float) -> FloatArray:
+    """(2,) unit vector, counter-clockwise from +x as the viewer sees it; quarter turns are exact."""
+    azimuth = np.radians(azimuth_deg)
+    return np.round([np.cos(azimuth), np.sin(azimuth)], 15) + 0.0
+
+
 def take(shots: Sequence[Shot], lens: Lens, art: Art) -> tuple[View, ...]:
     """Give shots their pictures; a source that several share is made once."""
     sources = {s.source_name: s.source for s in shots}

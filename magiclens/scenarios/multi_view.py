@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from magiclens.artifacts import FloatArray, Lens
-from magiclens.scenarios.base import Scenario, Shot
+from magiclens.scenarios.base import Scenario, Shot, toward
 from magiclens.scenarios.pictures import Source, Target
 from magiclens.spec.model import Choice, SpecModel, Viewer
 from magiclens.units import Angle, Length
@@ -33,9 +33,8 @@ class Eye(SpecModel):
         """(3,) float64, world frame. A tilted eye is as far from the lens's centre as the viewer."""
         if self.tilt is None:
             return np.array([self.x or 0.0, self.y or 0.0, lens.thickness_mm + viewer.distance])
-        tilt, azimuth = np.radians([self.tilt, self.azimuth])
-        side = np.sin(tilt)
-        away = viewer.distance * np.array([side * np.cos(azimuth), side * np.sin(azimuth), np.cos(tilt)])
+        tilt = np.radians(self.tilt)
+        away = viewer.distance * np.append(np.sin(tilt) * toward(self.azimuth), np.cos(tilt))
         return np.array([0.0, 0.0, lens.thickness_mm]) + away
 
 

@@ -8,10 +8,14 @@ import numpy as np
 from pydantic import Field
 
 from magiclens.artifacts import FloatArray, Lens
-from magiclens.scenarios.base import Scenario, Shot
+from magiclens.scenarios.base import Scenario, Shot, toward
 from magiclens.scenarios.pictures import Source, Target
 from magiclens.spec.model import Choice, Viewer
 from magiclens.units import Angle
+
+OUTER = 2.5
+"""The outer cone is so much wider than the inner one. Measured: a wider one makes the inner one's quality more even and
+all of it a little lower; at 2.5 the picture loses about 1.5 dB from the middle to the inner cone."""
 
 
 class StableZone(Scenario):
@@ -23,7 +27,7 @@ class StableZone(Scenario):
     target: Target = Field(description="what all eyes shall see")
     cone: Angle = Field(
         "1.15deg", validate_default=True, gt=0, lt=60,
-        description="apex of the inner viewing cone; the outer one's is twice as wide",
+        description="apex of the inner viewing cone; the outer one is 2.5 times as wide",
     )
 
     def suited(self) -> dict[str, Choice]:
@@ -34,7 +38,7 @@ class StableZone(Scenario):
         """The middle first; every eye is as far from the reference plane as the viewer."""
         middle = viewer.eye_mm(lens)
         eyes = {"centre": middle}
-        for ring, apex in (("inner", self.cone), ("outer", 2 * self.cone)):
+        for ring, apex in (("inner", self.cone), ("outer", OUTER * self.cone)):
             for k, name in enumerate(("right", "up", "left", "down")):
                 eyes[f"{ring}-{name}"] = middle + away(apex / 2, 90.0 * k, viewer.distance)
         return tuple(Shot(name, self.source, self.target, eye) for name, eye in eyes.items())
@@ -42,6 +46,4 @@ class StableZone(Scenario):
 
 def away(tilt_deg: float, azimuth_deg: float, distance_mm: float) -> FloatArray:
     """(3,) how far an eye that tilts about the lens's centre moves, staying at its distance from the plane."""
-    tilt, azimuth = np.radians([tilt_deg, azimuth_deg])
-    moved: FloatArray = distance_mm * np.tan(tilt) * np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
-    return moved
+    return np.append(distance_mm * np.tan(np.radians(tilt_deg)) * toward(azimuth_deg), 0.0)

@@ -1,0 +1,304 @@
+"""Movies: frames in linear light from folders, GIF, APNG, WebP and video files, and back to GIF and MP4."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from fractions import Fraction
+from itertools import chain, pairwise
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magiclens.errors import InputError
+from magiclens.images.colour import FloatArray, grey, to_display, to_linear
+from magiclens.images.files import read_image
+
+if TYPE_CHECKING:
+    from av import VideoFrame
+    from av.container import InputContainer
+    from PIL.Image import Image
+
+ByteArray = NDArray[np.uint8]
+IntArray = NDArray[np.signedinteger]
+
+PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".gif")
+"""Files of a folder that count as its frames."""
+ANIMATED = ("GIF", "PNG", "WEBP")
+CHOICES = "a folder of images, or a GIF, APNG, MP4, MOV or WebM file"
+VIDEO_OPTIONS = {"format_whitelist": "mov,matroska,avi", "protocol_whitelist": "file"}
+
+PALETTE = 256
+SAMPLE_PX = 100_000
+"""About how many pixels of a movie its palette is made from."""
+FASTEST_GIF = 50
+"""Frames per second: browsers slow down what is faster."""
+
+MP4_OPTIONS = {"movflags": "+faststart", "fflags": "+bitexact"}
+X264_OPTIONS = {"crf": "16", "preset": "slow", "threads": "1", "flags": "+bitexact"}
+WITHOUT_VERSION = "filter_units=remove_types=6"
+"""Drops the notes in which the encoder names itself and its settings."""
+BT709, SRGB_CURVE, VIDEO_RANGE = 1, 13, 1
+
+
+def read_frames(path: str | PathLike[str]) -> Iterator[FloatArray]:
+    """Frames (H, W, C) float32, linear light, C = 1 where a frame is grey, else 3; each is read when it is asked for.
+
+    ``path`` is a folder of images (in natural order: 2 before 10), a GIF, an animated PNG or WebP, or a video file;
+    their values are display values (sRGB), and transparency lies over white paper. Raises InputError, at once if
+    there is no such file or its first frame cannot be read, else when a later frame cannot.
+    """
+    frames = _frames(Path(path))
+    first = next(frames, None)
+    if first is None:
+        raise InputError(f"the movie {str(path)!r} has no frames")
+    return chain([first], frames)
+
+
+def frame_rate(path: str | PathLike[str]) -> float | None:
+    """Frames per second on average, as a movie file says; None for a folder of images or if the file does not say."""
+    path = Path(path)
+    if path.is_dir():
+        return None
+    if _is_picture(path):
+        return _animation_rate(path)
+    with _opened(path) as container:
+        rate = container.streams.video[0].average_rate
+        return float(rate) if rate else None
+
+
+def write_gif(path: str | PathLike[str], frames: Iterable[FloatArray], fps: float) -> None:
+    """Write frames (H, W, C) in linear light as a GIF that loops forever; equal frames give equal bytes.
+
+    One palette serves all frames: the colours themselves if there are at most 256, as in any grey movie, else the
+    nearest ones of an adaptive palette, undithered. Equal frames in a row become one that stays longer. Raises
+    InputError if ``fps`` is above 50.
+    """
+    if not 0 < fps <= FASTEST_GIF:
+        raise InputError(f"a GIF cannot show {fps:g} frames per second; use at most {FASTEST_GIF}, or MP4")
+    pictures = [_bytes(frame) for frame in frames]
+    _require_one_shape(pictures)
+    codes = [_codes(picture) for picture in pictures]
+    colours = _distinct(codes)
+    palette, index = (colours, np.arange(len(colours))) if len(colours) <= PALETTE else _adapted(pictures, colours)
+    first, *rest = (_indexed(index[np.searchsorted(colours, code)], palette) for code in codes)
+    ends = [round(100 * k / fps) for k in range(len(pictures) + 1)]
+    milliseconds = [10 * (end - start) for start, end in pairwise(ends)]
+    first.save(path, format="GIF", save_all=True, append_images=rest, duration=milliseconds, loop=0, optimize=False)
+
+
+def write_mp4(path: str | PathLike[str], frames: Iterable[FloatArray], fps: float) -> None:
+    """Write frames (H, W, C) in linear light as H.264 in an MP4 file; equal frames give equal bytes.
+
+    Odd sides grow by one pixel, a copy of the last row or column, since the format halves the resolution of colour.
+    """
+    import av
+    from av.bitstream import BitStreamFilterContext
+
+    pictures = map(_even, map(_bytes, frames))
+    first = next(pictures, None)
+    if first is None:
+        raise ValueError("a movie needs at least one frame")
+    with av.open(str(path), "w", format="mp4", options=MP4_OPTIONS) as container:
+        stream = container.add_stream("libx264", Fraction(fps).limit_denominator(1001), X264_OPTIONS)
+        stream.height, stream.width = first.shape[:2]
+        stream.pix_fmt = "yuv420p"
+        context = stream.codec_context
+        context.colorspace, context.color_primaries, context.color_range = BT709, BT709, VIDEO_RANGE
+        context.color_trc = SRGB_CURVE
+        anonymous = BitStreamFilterContext(WITHOUT_VERSION, stream)
+        for picture in chain([first], pictures):
+            _require_one_shape([first, picture])
+            for packet in stream.encode(_video_frame(picture)):
+                container.mux(anonymous.filter(packet))
+        for packet in stream.encode(None):
+            container.mux(anonymous.filter(packet))
+        container.mux(anonymous.filter(None))
+
+
+# Reading
+
+
+def _frames(path: Path) -> Iterator[FloatArray]:
+    """The frames of a folder or a file."""
+    if path.is_dir():
+        return _folder_frames(path)
+    return _animation_frames(path) if _is_picture(path) else _video_frames(path)
+
+
+def _folder_frames(folder: Path) -> Iterator[FloatArray]:
+    """The images of a folder, hidden ones left out."""
+    names = [p.name for p in folder.iterdir() if p.suffix.lower() in PICTURES and not p.name.startswith(".")]
+    if not names:
+        raise InputError(f"the folder {str(folder)!r} holds no images")
+    for name in sorted(names, key=_natural):
+        yield read_image(folder / name)
+
+
+def _natural(name: str) -> tuple[list[str | int], str]:
+    """Sorts numbers in names by their value."""
+    parts = re.split(r"(\d+)", name.lower())
+    return [int(part) if k % 2 else part for k, part in enumerate(parts)], name
+
+
+def _is_picture(path: Path) -> bool:
+    """Is it an animated picture? If not, it may be a video. Raises InputError if it is missing or a still picture."""
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(path) as image:
+            moves = image.format == "GIF" or (image.format in ANIMATED and getattr(image, "is_animated", False))
+    except FileNotFoundError:
+        raise InputError(f"there is no movie file or folder {str(path)!r}") from None
+    except UnidentifiedImageError:
+        return False
+    except Exception as error:
+        raise _unreadable(path, error) from error
+    if not moves:
+        raise InputError(f"{str(path)!r} is a single picture, not a movie; use {CHOICES}")
+    return True
+
+
+def _animation_frames(path: Path) -> Iterator[FloatArray]:
+    """All frames of an animated picture, each composited over those before it."""
+    from PIL import Image, ImageSequence
+
+    try:
+        with Image.open(path) as image:
+            for frame in ImageSequence.Iterator(image):
+                yield _light(np.asarray(frame.convert("RGBA")))
+    except Exception as error:  # decoders raise anything on broken files
+        raise _unreadable(path, error) from error
+
+
+def _animation_rate(path: Path) -> float | None:
+    """Frames per second of an animated picture."""
+    from PIL import Image, ImageSequence
+
+    try:
+        with Image.open(path) as image:
+            milliseconds = [_milliseconds(frame) for frame in ImageSequence.Iterator(image)]
+    except Exception as error:
+        raise _unreadable(path, error) from error
+    return 1000 * len(milliseconds) / sum(milliseconds) if sum(milliseconds) else None
+
+
+def _milliseconds(frame: Image) -> float:
+    """How long a frame is shown; 0 if the file does not say."""
+    frame.load()  # WebP knows only then
+    return float(frame.info.get("duration", 0))
+
+
+def _video_frames(path: Path) -> Iterator[FloatArray]:
+    """All frames of a video file, upright."""
+    from av import FFmpegError
+
+    with _opened(path) as container:
+        try:
+            for frame in container.decode(video=0):
+                values = np.asarray(frame.to_ndarray(format="rgb24"))
+                yield _light(np.rot90(values, round(frame.rotation / 90)))
+        except FFmpegError as error:
+            raise _unreadable(path, error) from error
+
+
+def _opened(path: Path) -> InputContainer:
+    """A video file that has pictures."""
+    import av
+
+    try:
+        container = av.open(str(path), options=VIDEO_OPTIONS)
+    except (av.FFmpegError, OSError):
+        raise InputError(f"{str(path)!r} is not a movie that can be read; use {CHOICES}") from None
+    if not container.streams.video:
+        container.close()
+        raise InputError(f"{str(path)!r} holds no moving picture")
+    return container
+
+
+def _unreadable(path: Path, error: Exception) -> InputError:
+    """What to raise when a decoder fails."""
+    return InputError(f"the movie {str(path)!r} cannot be read: {error}")
+
+
+def _light(values: ByteArray) -> FloatArray:
+    """(H, W, 1 or 3) linear light of (H, W, 3 or 4) bytes, the fourth alpha, over white paper."""
+    shares = values.astype(np.float32) / np.float32(255)
+    light = to_linear(shares[..., :3])
+    if values.shape[-1] == 4:
+        light = light * shares[..., 3:] + (1 - shares[..., 3:])
+    return np.ascontiguousarray(grey(light), dtype=np.float32)
+
+
+# Writing
+
+
+def _bytes(linear: FloatArray) -> ByteArray:
+    """(H, W, 3) display values 0..255."""
+    values = np.rint(to_display(linear) * 255).astype(np.uint8)
+    return np.broadcast_to(values, (*values.shape[:2], 3))
+
+
+def _require_one_shape(pictures: Sequence[ByteArray]) -> None:
+    """Raise ValueError unless there is a picture and all have its shape."""
+    shapes = sorted({picture.shape[:2] for picture in pictures})
+    if len(shapes) != 1:
+        raise ValueError(f"a movie needs frames of one size, not {shapes}")
+
+
+def _even(picture: ByteArray) -> ByteArray:
+    """The picture with even sides."""
+    rows, columns = picture.shape[:2]
+    return np.pad(picture, ((0, rows % 2), (0, columns % 2), (0, 0)), mode="edge")
+
+
+def _video_frame(picture: ByteArray) -> VideoFrame:
+    """An (H, W, 3) picture as luminance and colour differences, the latter at half the resolution."""
+    from av import VideoFrame
+
+    frame = VideoFrame.from_ndarray(picture, "rgb24")
+    return frame.reformat(format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG", threads=1)
+
+
+def _codes(picture: ByteArray) -> IntArray:
+    """(H, W) one number per colour: 65536 red + 256 green + blue."""
+    codes: IntArray = picture.astype(np.int32) @ np.array([65536, 256, 1], np.int32)
+    return codes
+
+
+def _distinct(codes: Sequence[IntArray]) -> IntArray:
+    """The sorted codes that occur."""
+    occurs = np.zeros(1 << 24, bool)
+    for code in codes:
+        occurs[code] = True
+    return np.flatnonzero(occurs)
+
+
+def _channels(codes: IntArray) -> ByteArray:
+    """(n, 3) bytes of colour codes."""
+    return np.stack([codes >> 16, codes >> 8 & 255, codes & 255], axis=-1).astype(np.uint8)
+
+
+def _adapted(pictures: Sequence[ByteArray], colours: IntArray) -> tuple[IntArray, IntArray]:
+    """Codes of an adaptive palette, and for every one of ``colours`` the index of the nearest."""
+    from PIL import Image
+    from scipy.spatial import KDTree
+
+    step = max(sum(picture[..., 0].size for picture in pictures) // SAMPLE_PX, 1)
+    sample = np.concatenate([picture.reshape(-1, 3)[::step] for picture in pictures])
+    reduced = Image.fromarray(sample[None]).quantize(PALETTE, Image.Quantize.MEDIANCUT, kmeans=1)
+    palette = np.array(reduced.getpalette(), np.uint8).reshape(-1, 3)
+    nearest = KDTree(palette).query(_channels(colours))[1]
+    return _codes(palette[None])[0], np.asarray(nearest)
+
+
+def _indexed(index: IntArray, palette: IntArray) -> Image:
+    """A palette image of (H, W) indices."""
+    from PIL import Image
+
+    image = Image.fromarray(index.astype(np.uint8))
+    image.putpalette(_channels(palette).tobytes())
+    return image

@@ -1,0 +1,97 @@
+"""A finished lens put to use again: other pictures through the same glass (sections 5 and 6)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from magiclens.artifacts import FloatArray, HeightField, Scene, Solid, Transport, View
+from magiclens.errors import InputError
+from magiclens.folder import MANIFEST, load_heights
+from magiclens.plan import Plan, load_plan
+from magiclens.registry import Registry, blaming
+from magiclens.spec.suggest import unknown
+
+BATCH = 4
+"""Frames that are encoded together."""
+
+
+@dataclass(frozen=True)
+class Reopened:
+    """A run folder whose lens can be looked through again. ``scene`` has the sources that the spec gave."""
+
+    folder: Path
+    plan: Plan
+    scene: Scene
+
+    @cached_property
+    def solid(self) -> Solid:
+        """The finished lens, from its stored heights."""
+        from magiclens.meshing.solid import solid_from_heights
+
+        lens = self.plan.lens
+        eye = None if lens.cells == "vertical" else self.scene.reference_eye_mm
+        return solid_from_heights(HeightField(lens, load_heights(self.folder), eye))
+
+    def view(self, name: str | None = None) -> View:
+        """A view by its name, the first by default. Raises InputError if there is no such view."""
+        names = [view.name for view in self.scene.views]
+        if name is not None and name not in names:
+            raise InputError(unknown("view", name, names), "--view")
+        return self.scene.views[names.index(name) if name else 0]
+
+    def transport(self, view: View) -> Transport:
+        """The matrix from a source to what this view's eye sees."""
+        from magiclens.traced import transports
+
+        return transports(replace(self.scene, views=(view,)), self.solid)[0]
+
+    def encode(self, frames: Iterable[FloatArray], name: str | None = None) -> Iterator[FloatArray]:
+        """One source (H, W, C) per frame (h, w, C), linear light, that shows it to the view's eye.
+
+        Raises InputError if the lens has no encoder: its sources are not to be edited.
+        """
+        step, view = self.plan.encoder, self.view(name)
+        if step is None:
+            raise InputError("this lens was designed for its source and has no encoder; use a universal lens")
+        transport, rng = self.transport(view), np.random.default_rng(self.plan.spec.seed)
+        waiting = iter(frames)
+        while batch := list(islice(waiting, BATCH)):
+            channels = max(view.source.shape[-1], *(frame.shape[-1] for frame in batch), 1)
+            views = tuple(_showing(view, frame, channels, str(k)) for k, frame in enumerate(batch))
+            scene = replace(self.scene, views=views)
+            with blaming(str(step)):
+                painted = step.stage.encode(scene, [transport] * len(views), rng)
+            yield from (v.source for v in painted.views)
+
+    def decode(self, sources: Iterable[FloatArray], name: str | None = None) -> Iterator[FloatArray]:
+        """What the view's eye sees, (R, R, C) linear light, of each source (h, w, C)."""
+        from magiclens.images import resize, square
+
+        transport = self.transport(self.view(name))
+        return (transport.see(resize(square(source), transport.source_shape)) for source in sources)
+
+
+def reopen(folder: str | Path, registry: Registry | None = None) -> Reopened:
+    """Open a finished run folder. Raises InputError if it is none."""
+    path = Path(folder)
+    if not (path / MANIFEST).is_file():
+        raise InputError(f"'{path}' is not a run folder: it has no {MANIFEST}")
+    plan = load_plan(path / "spec.yaml", (), registry)
+    return Reopened(path, plan, plan.scene())
+
+
+def _showing(view: View, frame: FloatArray, channels: int, name: str) -> View:
+    """The view with another target and a source of its own, both of so many channels."""
+    from magiclens.images import square
+
+    pictures = (
+        np.array(np.broadcast_to(p, (*p.shape[:2], channels)), np.float32) for p in (view.source, square(frame))
+    )
+    source, target = pictures
+    return replace(view, source=source, target=target, source_name=name, target_name=name)
