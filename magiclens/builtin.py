@@ -46,11 +46,13 @@ def mlens_scenarios() -> Sequence[type[Scenario]]:
     """Every built-in scenario."""
     from magiclens.scenarios.multi_pair import MultiPair
     from magiclens.scenarios.multi_view import MultiView
+    from magiclens.scenarios.question_answer import QuestionAnswer
     from magiclens.scenarios.rotating import Rotating
     from magiclens.scenarios.single import Single
     from magiclens.scenarios.stable_zone import StableZone
+    from magiclens.scenarios.universal_animation import UniversalAnimation
 
-    return [Single, Rotating, MultiPair, MultiView, StableZone]
+    return [Single, Rotating, MultiPair, MultiView, StableZone, UniversalAnimation, QuestionAnswer]
 
 
 @hookimpl

@@ -72,7 +72,7 @@ class Plan:
         """The lens and its views, pictures loaded."""
         with blaming(f"scenario {self.scenario.type} ({self.scenario_plugin})"):
             views = self.scenario.compiled(self.lens, self.spec.viewer, self.registry.art)
-            return Scene(self.lens, views, self.scenario.reserved(self.lens))
+            return Scene(self.lens, views, self.scenario.reserved(self.lens, self.registry.art))
 
     def resolved(self, inputs: Inputs | None = None) -> dict[str, Any]:
         """The spec with every default written out. ``inputs`` collects its files and makes their paths portable."""

@@ -48,7 +48,7 @@ class Scenario(SpecModel, ABC):
         """Stages, by kind, that this scenario needs or does best with; a spec may choose others."""
         return {}
 
-    def reserved(self, lens: Lens) -> BoolArray | None:
+    def reserved(self, lens: Lens, art: Art) -> BoolArray | None:
         """(H, W) bool: the source's region that is not to be used (see ``artifacts.Scene``), if there is one."""
         return None
 

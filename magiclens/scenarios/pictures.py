@@ -125,6 +125,23 @@ class ArtSource(_Source):
         return f"art {self.name}"
 
 
+class Plain(_Source):
+    """Plain paper."""
+
+    type: Literal["plain"]
+    level: Fraction = Field("100%", validate_default=True, ge=0, le=1, description="display value; 100% is white")
+
+    def raster(self, size_mm: float, art: Art) -> FloatArray:
+        """(S, S, 1) float32, linear light."""
+        from magiclens.images.colour import to_linear
+
+        side = _pixels(size_mm)
+        return np.array(np.broadcast_to(to_linear(np.array(self.level)), (side, side, 1)), np.float32)
+
+    def __str__(self) -> str:
+        return f"plain {self.level:.0%}"
+
+
 class TextSource(_Source):
     """Readable text, bold black on white, as large as fits."""
 
@@ -157,7 +174,7 @@ class TextSource(_Source):
         return f"text {self.text!r}"
 
 
-Source = Annotated[Circles | ImageSource | ArtSource | TextSource, Field(discriminator="type")]
+Source = Annotated[Circles | ImageSource | ArtSource | TextSource | Plain, Field(discriminator="type")]
 """What lies below the lens: generated, a file, built-in art, or text."""
 
 

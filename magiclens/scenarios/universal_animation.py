@@ -1,0 +1,138 @@
+"""One injective lens for any pictures, here the frames of an animation (section 5, figures 9 and 15)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from itertools import count, islice
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from pydantic import Field, ValidationInfo, model_validator
+
+from magiclens.artifacts import BoolArray, FloatArray, Lens
+from magiclens.scenarios.base import Scenario, Shot
+from magiclens.scenarios.camouflage import Camouflage
+from magiclens.scenarios.pictures import Art, Source, Target
+from magiclens.spec.fields import ImageFile, InputFile
+from magiclens.spec.model import Choice, SpecModel, Viewer
+
+MOST_FRAMES = 64
+"""A run draws and renders every frame; `mlens encode` takes longer movies."""
+
+
+class Frame(Target):
+    """One frame of a movie file."""
+
+    movie: Path
+    number: int
+
+    @model_validator(mode="before")
+    @classmethod
+    def _some(cls, data: Any) -> Any:
+        return data
+
+    def raster(self, art: Art) -> FloatArray:
+        """(S, S, C) float32, linear light."""
+        from magiclens.images.resample import square
+
+        return square(_movie(self.movie)[self.number])
+
+    def __str__(self) -> str:
+        return f"{self.movie.name} frame {self.number}"
+
+
+class Frames(SpecModel):
+    """What the eye shall see in turn: a built-in loop, pictures, or a movie."""
+
+    art: str | None = Field(None, description="name of a built-in loop, such as worm for worm-0, worm-1, ...")
+    length: int | None = Field(None, ge=1, description="frames of the built-in loop; all of them by default")
+    images: list[ImageFile] | None = Field(None, min_length=1, description="picture files")
+    movie: InputFile | None = Field(None, description="a GIF or MP4 file")
+
+    @model_validator(mode="after")
+    def _one(self, info: ValidationInfo) -> Frames:
+        if sum(value is not None for value in (self.art, self.images, self.movie)) != 1:
+            raise ValueError("name the frames: {art: worm}, {images: [a.png, b.png]} or {movie: film.gif}")
+        names = (info.context or {}).get("art")
+        if self.art is not None and names is not None:
+            there = next(k for k in count() if f"{self.art}-{k}" not in names)
+            if not there:
+                raise ValueError(f"there is no built-in loop '{self.art}'; choose one of: {_loops(names)}")
+            if self.length is None:
+                object.__setattr__(self, "length", there)
+            if self.length is not None and self.length > there:
+                raise ValueError(f"'{self.art}' has {there} frames, not {self.length}")
+        return self
+
+    def targets(self) -> list[Target]:
+        """One per frame, in order."""
+        if self.images:
+            return [Target(image=path) for path in self.images]
+        if self.movie:
+            return [Frame(movie=self.movie, number=k) for k in range(len(_movie(self.movie)))]
+        return [Target(art=f"{self.art}-{k}") for k in range(self.length or 0)]
+
+
+class UniversalAnimation(Scenario):
+    """A lens whose facets all look at places of their own, and a painted source for every frame."""
+
+    type: ClassVar[str] = "universal-animation"
+
+    frames: Frames = Field(description="what the eye shall see, one source for each")
+    source: Source = Field({"type": "plain"}, validate_default=True, description="what is painted on")
+    mask: ImageFile | None = Field(None, description="black where the source must not be used or painted (5.1)")
+    subdivisions: int = Field(2, ge=1, le=8, description="sub-regions along one side of a facet's patch (5.1)")
+    camouflage: Camouflage = Field(
+        {"type": "texture"}, validate_default=True, description="what covers pixels that no facet sees (5.2)"
+    )
+
+    def suited(self) -> dict[str, Choice]:
+        """Facets draw their places at random; sources are painted for the finished lens."""
+        return universal(self.subdivisions, self.camouflage)
+
+    def reserved(self, lens: Lens, art: Art) -> BoolArray | None:
+        """The mask, at the resolution of the source."""
+        return None if self.mask is None else masked(self.mask, len(self.source.raster(lens.source_size_mm, art)))
+
+    def shots(self, lens: Lens, viewer: Viewer) -> tuple[Shot, ...]:
+        """One per frame, each over its own source."""
+        eye_mm = viewer.eye_mm(lens)
+        names = [f"frame-{k:02}" for k in range(len(self.frames.targets()))]
+        return tuple(
+            Shot(name, self.source, target, eye_mm, source_name=name, target_name=name)
+            for name, target in zip(names, self.frames.targets(), strict=True)
+        )
+
+
+def universal(subdivisions: int, camouflage: Camouflage) -> dict[str, Choice]:
+    """The stages of a universal lens."""
+    return {
+        "matcher": {"type": "dart-throwing", "subdivisions": subdivisions},
+        "encoder": {"type": "least-squares", "camouflage": camouflage.model_dump(mode="json", exclude_none=True)},
+    }
+
+
+def masked(path: Path, side: int) -> BoolArray:
+    """(side, side) bool: where a mask is dark."""
+    from magiclens.images import luminance, read_image, resize, square, to_display
+
+    dark: BoolArray = to_display(luminance(resize(square(read_image(path)), (side, side)))) < 0.5
+    return dark
+
+
+@lru_cache(maxsize=2)
+def _movie(path: Path) -> Sequence[FloatArray]:
+    """The frames of a movie file, (H, W, C) each; InputError if there are too many."""
+    from magiclens.errors import InputError
+    from magiclens.images.movies import read_frames
+
+    frames = [np.asarray(frame) for frame in islice(read_frames(path), MOST_FRAMES + 1)]
+    if len(frames) > MOST_FRAMES:
+        raise InputError(f"it has more than {MOST_FRAMES} frames; run with a few and use 'mlens encode'", str(path))
+    return frames
+
+
+def _loops(names: Any) -> str:
+    return ", ".join(sorted(name.removesuffix("-0") for name in names if name.endswith("-0")))
