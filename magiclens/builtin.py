@@ -21,6 +21,7 @@ def mlens_stages() -> Sequence[type[Stage]]:
     """Every built-in stage, in pipeline order."""
     from magiclens.annealing.heat_bath import HeatBath
     from magiclens.annealing.metropolis import Metropolis
+    from magiclens.encoding import least_squares as encoding
     from magiclens.fabrication.gltf import Glb
     from magiclens.fabrication.height_map import HeightMap
     from magiclens.fabrication.mesh_files import Obj, Ply, Stl
@@ -30,15 +31,17 @@ def mlens_stages() -> Sequence[type[Stage]]:
     from magiclens.fabrication.three_mf import ThreeMf
     from magiclens.integration.least_squares import LeastSquares
     from magiclens.integration.poisson import Poisson
+    from magiclens.matching.dart_throwing import DartThrowing
     from magiclens.matching.exhaustive import Exhaustive
     from magiclens.matching.multi_view import MultiView
     from magiclens.meshing.finish import Pymeshlab
     from magiclens.rendering.mitsuba import Mitsuba
     from magiclens.rendering.tracer import Tracer
 
-    design: list[type[Stage]] = [Exhaustive, MultiView, HeatBath, Metropolis, Poisson, LeastSquares, Pymeshlab]
+    matching: list[type[Stage]] = [Exhaustive, MultiView, DartThrowing]
+    design: list[type[Stage]] = [HeatBath, Metropolis, Poisson, LeastSquares, Pymeshlab, encoding.LeastSquares]
     fabrication: list[type[Stage]] = [Stl, Ply, Obj, ThreeMf, Glb, HeightMap, Slices, Sheet, Monitor]
-    return [*design, *fabrication, Tracer, Mitsuba]
+    return [*matching, *design, *fabrication, Tracer, Mitsuba]
 
 
 @hookimpl

@@ -24,17 +24,17 @@ def convert(work: Work, source: Path, out: Path, px_per_mm: float | None = None)
     One picture becomes one PNG. Several become a GIF, an MP4 or, if ``out`` has no ending, a folder of numbered PNGs.
     Raises InputError when ``out`` cannot hold what ``source`` is.
     """
-    from magiclens.images.movies import frame_rate, read_frames, write_gif, write_mp4
+    from magiclens.images.movies import frame_rate, is_still, read_frames, write_gif, write_mp4
 
     if not source.exists():
         raise InputError(f"there is no picture '{source}'")
-    rate = None if source.is_dir() else frame_rate(source)
+    many = not is_still(source)
     ending = out.suffix.lower()
-    many = source.is_dir() or rate is not None
     if ending not in (("", *MOVIES) if many else (".png",)):
         wanted = "a .gif, an .mp4 or a folder" if many else "a .png"
         raise InputError(f"'{out}' cannot hold this; write {wanted}", "--out")
     results = work(read_frames(source) if many else [read_image(source)])
+    rate = frame_rate(source) if many else None
     with _appearing(out) as path:
         if not many:
             write_png(path, next(results), px_per_mm)

@@ -58,6 +58,11 @@ def read_frames(path: str | PathLike[str]) -> Iterator[FloatArray]:
     return chain([first], frames)
 
 
+def is_still(path: str | PathLike[str]) -> bool:
+    """Is it a picture file that does not move? Raises InputError if it is missing or broken."""
+    return not Path(path).is_dir() and _moves(Path(path)) is False
+
+
 def frame_rate(path: str | PathLike[str]) -> float | None:
     """Frames per second on average, as a movie file says; None for a folder of images or if the file does not say."""
     path = Path(path)
@@ -146,20 +151,25 @@ def _natural(name: str) -> tuple[list[str | int], str]:
 
 def _is_picture(path: Path) -> bool:
     """Is it an animated picture? If not, it may be a video. Raises InputError if it is missing or a still picture."""
+    moves = _moves(path)
+    if moves is False:
+        raise InputError(f"{str(path)!r} is a single picture, not a movie; use {CHOICES}")
+    return moves is not None
+
+
+def _moves(path: Path) -> bool | None:
+    """Is a picture animated? None if it is no picture. Raises InputError if it is missing or broken."""
     from PIL import Image, UnidentifiedImageError
 
     try:
         with Image.open(path) as image:
-            moves = image.format == "GIF" or (image.format in ANIMATED and getattr(image, "is_animated", False))
+            return image.format == "GIF" or (image.format in ANIMATED and getattr(image, "is_animated", False))
     except FileNotFoundError:
         raise InputError(f"there is no movie file or folder {str(path)!r}") from None
     except UnidentifiedImageError:
-        return False
+        return None
     except Exception as error:
         raise _unreadable(path, error) from error
-    if not moves:
-        raise InputError(f"{str(path)!r} is a single picture, not a movie; use {CHOICES}")
-    return True
 
 
 def _animation_frames(path: Path) -> Iterator[FloatArray]:

@@ -115,11 +115,12 @@ def universal(subdivisions: int, camouflage: Camouflage) -> dict[str, Choice]:
 
 
 def masked(path: Path, side: int) -> BoolArray:
-    """(side, side) bool: where a mask is dark."""
-    from magiclens.images import luminance, read_image, resize, square, to_display
+    """(side, side) bool: where a mask is dark, nearest pixels."""
+    from magiclens.images import luminance, read_image, square, to_display
 
-    dark: BoolArray = to_display(luminance(resize(square(read_image(path)), (side, side)))) < 0.5
-    return dark
+    dark: BoolArray = to_display(luminance(square(read_image(path)))) < 0.5
+    nearest = ((np.arange(side) + 0.5) * len(dark) / side).astype(int)
+    return dark[nearest[:, None], nearest]
 
 
 @lru_cache(maxsize=2)
