@@ -26,6 +26,7 @@ def toy_geometry(monkeypatch: pytest.MonkeyPatch) -> None:
     solid, traced = ModuleType("magiclens.meshing.solid"), ModuleType("magiclens.traced")
     falling = itertools.count(100, -1)
     vars(solid)["solid_from_heights"] = prism
+    vars(solid)["heights_of"] = lambda solid, lens: None
     vars(traced)["facet_errors"] = lambda scene, heights: np.full((scene.lens.facets,) * 2, next(falling) / 100)
     monkeypatch.setitem(sys.modules, solid.__name__, solid)
     monkeypatch.setitem(sys.modules, traced.__name__, traced)

@@ -1,0 +1,159 @@
+"""Layers of voxels fill the solid, wherever its surface runs."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+from typing import Any
+from zipfile import ZipFile
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from fabricated import EYE, LENS, Eye, box, bumpy, flat, together, winding, written
+from magiclens.artifacts import BoolArray, FloatArray, Lens, Scene, Solid
+from magiclens.errors import InputError
+from magiclens.fabrication.slices import Slices
+from magiclens.meshing.solid import volume
+from magiclens.plan import load_plan
+from toys import TOYS, SpecWriter, registry_of
+
+MILLIMETRE = {"dpi_x": 25.4, "dpi_y": 25.4, "layer": "1mm"}
+FINE = {"dpi_x": 400.0, "dpi_y": 250.0, "layer": "60um"}
+
+
+def stack(solid: Solid, folder: Path, **options: Any) -> tuple[BoolArray, dict[str, Any], FloatArray]:
+    """The voxels (layers, rows, columns), the manifest, and the voxels' centres (layers, rows, columns, 3)."""
+    with ZipFile(written(Slices(**options), folder, solid)) as archive:
+        facts = json.loads(archive.read("manifest.json"))
+        files = [io.BytesIO(archive.read(f"layer-{k:05d}.png")) for k in range(facts["layers"])]
+        layers = [np.asarray(Image.open(file)) for file in files]
+        assert len(archive.namelist()) == len(layers) + 1
+    (dx, dy), dz, (x, y, z) = facts["pixel_mm"], facts["layer_mm"], facts["first_voxel_mm"]
+    voxels = np.array(layers)
+    k, i, j = np.indices(voxels.shape)
+    return voxels, facts, np.stack([x + j * dx, y - i * dy, z + k * dz], axis=-1)
+
+
+@pytest.mark.parametrize("eye", [None, EYE, (60.0, 0.0, 60.0)], ids=["vertical", "eye", "leaning far"])
+def test_a_voxel_is_filled_if_its_centre_is_in_the_solid(eye: Eye, tmp_path: Path) -> None:
+    solid = bumpy(eye)
+    voxels, _, centres = stack(solid, tmp_path, **FINE)
+    rng = np.random.default_rng(0)
+    rough = abs(centres[:, 0, 0, 2] - LENS.thickness_mm) < 0.6
+    for band in (rough, ~rough):
+        some = rng.integers(band.sum() * voxels[0].size, size=400)
+        turns = winding(solid, centres[band].reshape(-1, 3)[some])
+        clear = abs(turns - turns.round()) < 1e-6
+        assert clear.mean() > 0.95
+        assert np.array_equal(voxels[band].reshape(-1)[some][clear], turns[clear] > 0.5)
+    assert 0.1 < voxels[rough].mean() < 0.9
+
+
+@pytest.mark.parametrize("eye", [None, EYE], ids=["vertical", "eye"])
+def test_voxels_have_the_volume_of_the_mesh(eye: Eye, tmp_path: Path) -> None:
+    solid = bumpy(eye)
+    voxels, facts, _ = stack(solid, tmp_path)
+    assert facts["filled_mm3"] == pytest.approx(solid.metrics["volume_mm3"], rel=0.005)
+    assert facts["filled_mm3"] == pytest.approx(voxels.sum() * np.prod([*facts["pixel_mm"], facts["layer_mm"]]))
+
+
+def test_default_resolution_of_a_leaning_slab_has_its_volume(tmp_path: Path) -> None:
+    lens = Lens(size_mm=12.0, facets=2, microfacets=4, thickness_mm=6.0, floor_mm=15.0)
+    solid = bumpy((3.0, 1.0, 80.0), lens=lens)
+    _, facts, _ = stack(solid, tmp_path)
+    assert facts["filled_mm3"] == pytest.approx(solid.metrics["volume_mm3"], rel=0.005)
+
+
+def test_lines_along_edges_and_through_vertices_cross_the_surface_once(tmp_path: Path) -> None:
+    """The middle row and the middle column run through vertices of the middle facet."""
+    voxels, facts, centres = stack(flat(), tmp_path, dpi_x=252.0, dpi_y=252.0, layer="0.5mm")
+    assert facts["pixels"] == [99, 99]
+    assert abs(centres[0, 49, 49, :2]).max() < 1e-12
+    assert voxels.all()
+
+
+def test_air_between_bodies_stays_empty(tmp_path: Path) -> None:
+    solid = together(box((0, 0, 0), (4, 3, 2)), box((1, 0, 5), (4, 3, 6)))
+    voxels, _, _ = stack(solid, tmp_path, **MILLIMETRE)
+    expected = np.zeros((6, 3, 4), bool)
+    expected[:2] = True
+    expected[5, :, 1:] = True
+    assert np.array_equal(voxels, expected)
+
+
+def test_a_body_that_leans_over_is_filled_where_it_is(tmp_path: Path) -> None:
+    """A prism sheared by 45 degrees: its layers move along +x, one pixel per layer."""
+    upright = box((0, 0, 0), (2, 3, 6))
+    leaning = Solid(upright.vertices + upright.vertices[:, 2:] * np.array([1.0, 0.0, 0.0]), upright.faces)
+    voxels, _, centres = stack(leaning, tmp_path, **MILLIMETRE | {"dpi_x": 254.0})
+    x, z = centres[..., 0], centres[..., 2]
+    assert np.array_equal(voxels, (x >= z) & (x < z + 2))
+    assert volume(leaning) == pytest.approx(36)
+
+
+def test_layers_start_at_the_bottom_rows_at_plus_y_and_columns_at_minus_x(tmp_path: Path) -> None:
+    solid = together(box((-2, -3, 0), (2, 3, 1)), box((1, 2, 2), (2, 3, 3)))
+    voxels, facts, _ = stack(solid, tmp_path, **MILLIMETRE)
+    assert voxels[0].all()
+    assert not voxels[1].any()
+    assert np.argwhere(voxels[2]).tolist() == [[0, 3]]
+    assert facts["first_voxel_mm"] == pytest.approx([-1.5, 2.5, 0.5])
+
+
+def test_pixels_may_be_oblong_and_files_know_it(tmp_path: Path) -> None:
+    path = written(Slices(dpi_x=600, dpi_y=300, layer="1mm"), tmp_path, flat())
+    with ZipFile(path) as archive:
+        facts = json.loads(archive.read("manifest.json"))
+        image = Image.open(io.BytesIO(archive.read("layer-00003.png")))
+    assert (image.mode, image.size) == ("1", (236, 118))
+    assert image.info["dpi"] == pytest.approx((600, 300), rel=1e-4)
+    assert (facts["pixels"], facts["layers"]) == ([236, 118], 8)
+    assert facts["pixel_mm"] == pytest.approx([25.4 / 600, 25.4 / 300])
+
+
+def test_layers_that_are_alike_have_equal_bytes(tmp_path: Path) -> None:
+    with ZipFile(written(Slices(layer="1mm"), tmp_path, flat())) as archive:
+        assert len({archive.read(name) for name in archive.namelist() if name.endswith(".png")}) == 1
+
+
+def test_equal_solids_give_equal_bytes_and_others_do_not(tmp_path: Path) -> None:
+    solids = {"one": bumpy(), "same": bumpy(), "other": bumpy(seed=6)}
+    one, same, other = (written(Slices(**FINE), tmp_path / n, s).read_bytes() for n, s in solids.items())
+    assert one == same
+    assert one != other
+    with ZipFile(tmp_path / "one" / "lens.slices.zip") as archive:
+        assert {info.date_time for info in archive.infolist()} == {(1980, 1, 1, 0, 0, 0)}
+
+
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        ("layer: 27", "layer: 27 is a bare number; a length needs a unit, such as '27mm'"),
+        ("layer: 0mm", "layer: must be more than 0mm"),
+        ("dpi_x: 5", "dpi_x: must be at least 10"),
+        ("dpi: 600", "dpi: unknown option; did you mean 'dpi_"),
+    ],
+)
+def test_wrong_options_are_explained(option: str, message: str, write_spec: SpecWriter) -> None:
+    spec = write_spec(("exporters: [{type: toy}]", f"exporters: [{{type: slices, {option}}}]"))
+    with pytest.raises(InputError) as caught:
+        load_plan(spec, registry=registry_of(*TOYS, Slices))
+    assert f"pipeline.exporters.0.{message}" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"dpi_x": 9999, "dpi_y": 9999}, "39366 x 39366 pixels, more than 100,000,000; lower dpi_x and"),
+        ({"dpi_x": 10, "dpi_y": 10, "layer": "0.01um"}, "800000 layers, more than 100,000; raise layer, now 1e-05mm"),
+    ],
+)
+def test_stacks_too_large_to_make_are_refused(options: dict[str, Any], message: str, tmp_path: Path) -> None:
+    lens = Lens(facets=2, microfacets=1, thickness_mm=8.0)
+    with pytest.raises(InputError) as caught:
+        Slices(**options).export(Scene(lens, ()), flat(lens), tmp_path / "lens.slices.zip")
+    assert message in str(caught.value)
+    assert not list(tmp_path.iterdir())
