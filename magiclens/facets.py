@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from magiclens.artifacts import FloatArray, Scene
+from magiclens.artifacts import Assignment, FloatArray, Scene
 from magiclens.images import to_display
 
 EDGE_POINTS = 4
@@ -38,6 +40,46 @@ def central_slopes(scene: Scene, offsets: FloatArray) -> FloatArray:
         scene.reference_eye_mm, lens.thickness_mm, lens.gap_mm, lens.ior,
     )
     return slopes.reshape(offsets.shape)
+
+
+@dataclass(frozen=True)
+class Patches:
+    """What an eye sees through the facets, to first order: ``landing + map p`` at ``place + shear p`` in its picture.
+
+    p is a point's place on the facet as the reference eye sees it, from the facet's centre, mm, +y up. landings_mm:
+    (N, N, 2), nan where light is reflected totally; places_mm: (N, N, 2); maps, shears: (N, N, 2, 2).
+    """
+
+    landings_mm: FloatArray
+    maps: FloatArray
+    places_mm: FloatArray
+    shears: FloatArray
+
+
+def patches_seen(
+    scene: Scene, assignment: Assignment, eye_mm: FloatArray, heights_mm: FloatArray | None = None
+) -> Patches:
+    """What an eye (3,), lens frame, sees if facets realise an assignment exactly (4.6).
+
+    heights_mm: (N, N), where the facets stand; None is the reference plane. For the reference eye that does not matter:
+    it sees the assignment's own offsets and maps.
+    """
+    lens, n, cut_eye = scene.lens, scene.lens.facets, scene.reference_eye_mm
+    centres = lens.facet_centres_mm()
+    xx, xy, yy = np.moveaxis(assignment.maps.astype(np.float64), -1, 0)
+    given = np.stack([xx, xy, xy, yy], axis=-1).reshape(n, n, 2, 2)
+    if np.allclose(eye_mm, cut_eye, rtol=0, atol=1e-6):
+        return Patches(centres + assignment.offsets_mm, given, centres, np.broadcast_to(np.eye(2), given.shape))
+    from magiclens.optics.eyes import LANDING, MAP, PLACE, SHEAR, SPAN, sights
+
+    offsets = assignment.offsets_mm.reshape(-1, 2).astype(np.float64)
+    heights = np.zeros(n * n) if heights_mm is None else np.ascontiguousarray(heights_mm, np.float64).ravel()
+    seen = sights(
+        eye_mm, cut_eye, centres.reshape(-1, 2), heights, offsets, lens.thickness_mm, lens.gap_mm, lens.ior
+    ).reshape(n, n, -1)
+    along, span, shears = (seen[..., k : k + 4].reshape(n, n, 2, 2) for k in (MAP, SPAN, SHEAR))
+    landings, places = (seen[..., k : k + 2] for k in (LANDING, PLACE))
+    return Patches(landings, along + span @ given, places, shears)
 
 
 def cost_of_lost_light(scene: Scene) -> float:

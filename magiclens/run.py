@@ -154,6 +154,9 @@ def _make(plan: Plan, folder: Path, worker: _Worker) -> RunData:
     for exporter in plan.exporters:
         _export(exporter, scene, solid, folder, worker)
     renders = {step.stage.type: _render(step, scene, solid, folder, worker) for step in plan.renderers}
+    if plan.scenario.frames_per_second and renders:
+        animate = partial(_animate, scene, plan.scenario.frames_per_second, next(iter(renders.values())), folder)
+        worker.part("animations", animate)
     made = (candidates, assignment, height_field, rough, solid)
     first = Assignment.pick(candidates, candidates.errors.argmin(axis=-1))
     metrics = worker.part("bounds", partial(_bounds, scene, candidates, first, assignment, height_field))
@@ -318,6 +321,18 @@ def _render(step: Step[Renderer], scene: Scene, solid: Solid, folder: Path, work
         path.parent.mkdir(parents=True, exist_ok=True)
         write_png(path, picture)
     return pictures
+
+
+def _animate(scene: Scene, fps: float, seen: list[FloatArray], folder: Path) -> None:
+    """The sources in turn, and what the eye sees meanwhile, as GIF and MP4."""
+    from magiclens.images import resize
+    from magiclens.images.movies import write_gif, write_mp4
+
+    (folder / "animations").mkdir()
+    side = len(seen[0])
+    for name, frames in (("sources", [resize(view.source, (side, side)) for view in scene.views]), ("seen", seen)):
+        write_gif(folder / "animations" / f"{name}.gif", frames, fps)
+        write_mp4(folder / "animations" / f"{name}.mp4", frames, fps)
 
 
 def _scores(scene: Scene, renders: Renders) -> Scores:

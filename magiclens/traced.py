@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from magiclens.artifacts import FloatArray, HeightField, Scene, Solid, Transport, View
@@ -9,8 +11,12 @@ from magiclens.artifacts import FloatArray, HeightField, Scene, Solid, Transport
 PIXELS = 16
 """Pixels per facet side at which errors are traced."""
 
-RESOLUTION = 512
-"""Pixels per side of the pictures that transport matrices give."""
+LEAST_RESOLUTION, SAMPLES = 512, 5
+"""Of the pictures that transport matrices give: pixels per side, and samples per side of a pixel.
+
+No pixel straddles two facets. With fewer samples an encoder paints for the samples instead of the pixels: 3 instead of
+5 per side cost path-traced pictures of universal lenses 3 to 8 dB.
+"""
 
 
 def facet_errors(scene: Scene, heights: HeightField) -> FloatArray:
@@ -42,10 +48,11 @@ def transports(scene: Scene, solid: Solid) -> list[Transport]:
     """One per view; views that share eye, rotation and source raster share the matrix."""
     from magiclens.rendering.trace import transport
 
+    resolution = scene.lens.facets * math.ceil(LEAST_RESOLUTION / scene.lens.facets)
     made: dict[tuple[object, ...], Transport] = {}
     for view in scene.views:
         if _pose(view) not in made:
-            made[_pose(view)] = transport(solid, scene.lens, view, RESOLUTION, 3)
+            made[_pose(view)] = transport(solid, scene.lens, view, resolution, SAMPLES)
     return [made[_pose(view)] for view in scene.views]
 
 

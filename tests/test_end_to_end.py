@@ -77,6 +77,33 @@ def test_the_run_folders_own_spec_gives_the_same_bytes_again(folder: Path, tmp_p
             assert path.read_bytes() == (tmp_path / "again" / path.relative_to(folder)).read_bytes(), path.name
 
 
+@pytest.mark.parametrize(
+    ("cells", "others"), [("eye", ", {type: mitsuba, resolution: 192, samples: 64}"), ("vertical", "")]
+)
+def test_every_eye_sees_its_own_target_and_no_other(tmp_path: Path, cells: str, others: str) -> None:
+    small = [
+        f"lens={{size: 30mm, facets: 12, microfacets: 12, cells: {cells}}}",
+        "scenario.source={type: circles, seed: 7, size: 60mm}",
+        "scenario.views.0.target={art: heart}",
+        "scenario.views.1.target={art: star}",
+        "pipeline.matcher={type: multi-view, window: 6mm, step: 0.3mm, scales: [0.15, 0.5], candidates: 25}",
+        f"pipeline.renderers=[{{type: tracer, resolution: 192}}{others}]",
+    ]
+    run = run_spec(SPECS / "multi-view.yaml", tmp_path / "views", small)
+    targets = [view.target for view in run.data.scene.views]
+    for k, pictures in enumerate(zip(*run.data.renders.values(), strict=True)):
+        for picture in pictures:
+            own, other = (score(picture, targets[i]).psnr_db for i in (k, 1 - k))
+            assert own > 18
+            assert own > other + 10
+            assert score(picture, pictures[0]).psnr_db > 22
+    metrics = run.manifest["metrics"]
+    shown = np.mean([view["psnr_db"] for view in run.manifest["views"]])
+    assert metrics["assigned_psnr_db"] == pytest.approx(shown, abs=2)
+    assert metrics["watertight"] == 1
+    assert metrics["self_intersections"] == 0
+
+
 def test_a_milled_lens_has_no_step_above_a_tenth_of_a_millimetre(tmp_path: Path) -> None:
     small = ["lens.facets=12", "lens.size=40mm", "scenario.target={art: heart}", "pipeline.renderers=[{type: tracer}]"]
     run = run_spec(SPECS / "milled.yaml", tmp_path / "milled", small)

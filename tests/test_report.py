@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from magiclens.artifacts import Assignment, FloatArray, HeightField, Lens, Scene, Solid, View
-from magiclens.facets import central_slopes
+from magiclens.artifacts import Assignment, FloatArray, HeightField, IntArray, Lens, Scene, Solid, View
+from magiclens.facets import central_slopes, patches_seen
+from magiclens.matching.predict import predict
 from magiclens.plan import load_plan
 from magiclens.registry import Registry
-from magiclens.report.annealed import fine_slopes
+from magiclens.report.annealed import SIDE, before_after, fine_slopes
 from magiclens.report.contact import MARK, marked, place
 from magiclens.report.data import RunData
 from magiclens.report.differences import difference, gridded
@@ -24,12 +25,23 @@ from magiclens.report.overlap import coarse, faded, overlaps, seen
 from magiclens.report.photographs import photograph
 from magiclens.report.relief import relief, sample_heights, shadow
 from magiclens.report.scales import BLUE_TO_RED, DIVERGING, Scale
-from magiclens.report.sheet import GAP, LABELS, LINE, PAPER, Tile, sheet
+from magiclens.report.sheet import GAP, LABELS, LINE, PAPER, Tile, display, sheet
 from magiclens.report.surface import wall_picture
 from magiclens.report.tables import measure, metric_rows
 from magiclens.report.write import write_report
 from magiclens.run import run_plan
-from scenes import assigned, blank_scene, blotches, choices, grey_view, letter_f, plane_points_mm, small_lens, surface
+from scenes import (
+    ABOVE,
+    assigned,
+    blank_scene,
+    blotches,
+    choices,
+    grey_view,
+    letter_f,
+    plane_points_mm,
+    small_lens,
+    surface,
+)
 from toys import SpecWriter
 
 FIGURES = ("annealing", "contact-sheet", "error", "height-map", "overlap", "steps")
@@ -185,16 +197,21 @@ def test_a_run_writes_its_report(write_spec: SpecWriter, registry: Registry, tmp
     assert {"report.html", *(f"figures/{name}.png" for name in FIGURES)} <= set(paths)
 
 
+def overlaps_of(lens: Lens, assignment: Assignment, side: int) -> IntArray:
+    """As the eye straight above sees them."""
+    return overlaps(lens, patches_seen(blank_scene(lens), assignment, np.array(ABOVE)), side)
+
+
 def test_facets_that_see_their_own_places_cover_the_source_once() -> None:
     lens = small_lens(4, source=12.0)
-    assert (overlaps(lens, assigned(np.zeros((4, 4, 2)), IDENTITY), 120) == 1).all()
+    assert (overlaps_of(lens, assigned(np.zeros((4, 4, 2)), IDENTITY), 120) == 1).all()
 
 
 @pytest.mark.parametrize("signs", [(1, 1), (-1, 1), (1, -1), (-1, -1)])
 def test_all_facets_on_one_patch_overlap_there_and_nowhere_else(signs: tuple[int, int]) -> None:
     lens = small_lens(4, source=12.0)
     to = np.array([1.5, 3.0]) - lens.facet_centres_mm()
-    counts = overlaps(lens, assigned(to, np.array([signs[0] * 0.5, 0.0, signs[1] * 1.0])), 120)
+    counts = overlaps_of(lens, assigned(to, np.array([signs[0] * 0.5, 0.0, signs[1] * 1.0])), 120)
     expected = np.zeros((120, 120), int)
     # 1.5 mm wide about x = +1.5 mm and 3 mm high about y = +3 mm, at 10 pixels per mm, row 0 at y = +6 mm
     expected[15:45, 68:82] = 16
@@ -206,17 +223,31 @@ def test_all_facets_on_one_patch_overlap_there_and_nowhere_else(signs: tuple[int
 
 def test_sheared_patches_have_the_area_and_the_lean_of_their_maps() -> None:
     lens = small_lens(1, pitch=3.0, source=12.0)
-    counts = overlaps(lens, assigned(np.zeros((1, 1, 2)), np.array([1.0, 0.6, 1.0])), 600)
+    counts = overlaps_of(lens, assigned(np.zeros((1, 1, 2)), np.array([1.0, 0.6, 1.0])), 600)
     assert counts.sum() * 0.02**2 == pytest.approx(9 * (1 - 0.36), rel=0.01)
     rows, columns = np.nonzero(counts)
     assert np.corrcoef(columns, -rows)[0, 1] > 0.5
 
 
+def test_another_eye_sees_other_points_through_the_same_facets() -> None:
+    """Through flat facets, an eye to the right sees what lies farther to the left, and no less of it."""
+    lens = small_lens(4, source=40.0)
+    scene = Scene(lens, tuple(grey_view(letter_f(8), letter_f(8), (x, 0.0, 440.0)) for x in (60.0, -60.0)))
+    flat = 1 + (lens.thickness_mm / lens.ior) / 400
+    chosen = assigned((flat - 1) * lens.facet_centres_mm(), flat * IDENTITY)
+    right, left = (overlaps(lens, patches_seen(scene, chosen, view.eye_mm), 400) for view in scene.views)
+    middles = [np.nonzero(counts)[1].mean() / 10 - 20 for counts in (right, left)]
+    shift = 60 / 400 * lens.thickness_mm / lens.ior
+    assert middles == pytest.approx([-shift, shift], rel=0.05)
+    assert right.sum() == pytest.approx(left.sum(), rel=0.01)
+    assert right.sum() / 100 == pytest.approx((12 * flat) ** 2, rel=0.05)
+
+
 def test_patches_outside_the_source_and_without_area_count_nowhere() -> None:
     lens = small_lens(1, source=12.0)
-    assert not overlaps(lens, assigned(np.full((1, 1, 2), 20.0), IDENTITY), 60).any()
-    assert not overlaps(lens, assigned(np.zeros((1, 1, 2)), np.array([1.0, 1.0, 1.0])), 60).any()
-    half_out = overlaps(lens, assigned(np.array([[[6.0, 0.0]]]), IDENTITY), 120)
+    assert not overlaps_of(lens, assigned(np.full((1, 1, 2), 20.0), IDENTITY), 60).any()
+    assert not overlaps_of(lens, assigned(np.zeros((1, 1, 2)), np.array([1.0, 1.0, 1.0])), 60).any()
+    half_out = overlaps_of(lens, assigned(np.array([[[6.0, 0.0]]]), IDENTITY), 120)
     assert half_out.sum() == 15 * 30
     assert half_out[45:75, 105:].all()
 
@@ -233,8 +264,8 @@ def test_what_is_seen_turns_with_the_lens() -> None:
     picture = letter_f(16)
     view = grey_view(picture, picture, turn=90.0)
     in_lens_frame = (view.in_lens_frame().source[..., 0] > 0).astype(int)
-    assert np.array_equal(seen([view], in_lens_frame), picture > 0)
-    assert np.array_equal(seen([view, view], in_lens_frame), 2 * (picture > 0))
+    assert np.array_equal(seen([view], [in_lens_frame]), picture > 0)
+    assert np.array_equal(seen([view, view], [in_lens_frame] * 2), 2 * (picture > 0))
 
 
 def test_only_what_is_seen_keeps_its_contrast() -> None:
@@ -308,6 +339,21 @@ def test_the_parts_of_an_ideal_lenslet_look_where_its_map_says() -> None:
     assert not np.allclose(slopes[0, 0], slopes[2, 0], atol=1e-3)
 
 
+def test_before_and_after_annealing_are_as_the_first_eye_of_all_sees_them() -> None:
+    lens, glyph = small_lens(source=40.0), letter_f(32)
+    views = tuple(grey_view(blotches(400, 2.0), glyph, (x, 20.0, 440.0)) for x in (60.0, -60.0))
+    data = run_data(lens, views)
+    data = replace(data, candidates=replace(data.candidates, heights_mm=np.full((4, 4), -1.0)))
+    tiles = before_after(data).rows[1]
+    levels = [np.full((4, 4), -1.0), data.height_field.levels_mm]
+    for tile, chosen, heights in zip(tiles, (data.first, data.assignment), levels, strict=True):
+        pictures = predict(data.scene, chosen, SIDE, 3, heights)
+        photos = [photograph(picture, view) for picture, view in zip(pictures, views, strict=True)]
+        assert tile.caption == f"view: {photos[0].caption}"
+        assert np.array_equal(tile.picture, display(photos[0].picture, SIDE))
+        assert not np.array_equal(tile.picture, display(photos[1].picture, SIDE))
+
+
 @pytest.mark.parametrize(
     ("turn", "corner"), [(0, (3, 3)), (90, (-4, 3)), (180, (-4, -4)), (270, (3, -4))], ids=["0", "90", "180", "270"]
 )
@@ -329,6 +375,7 @@ def test_places_of_views() -> None:
     assert place(grey_view(picture, picture), lens, False) == "eye 400 mm above the lens"
     assert place(grey_view(picture, picture), lens, True) == "lens at 0°"
     assert place(grey_view(picture, picture, (70.0, -45.0, 440.0)), lens, False) == "eye at (70, -45) mm"
+    assert place(grey_view(picture, picture, (-1e-14, 103.7, 440.0)), lens, False) == "eye at (0, 104) mm"
 
 
 def test_photographs_are_exposed_and_differences_signed() -> None:
@@ -358,6 +405,20 @@ def test_ticks_are_round_and_in_their_places() -> None:
     assert Scale(DIVERGING, -4.0, 4.0).ticks() == {0.0: "-4", 0.25: "-2", 0.5: "0", 0.75: "+2", 1.0: "+4"}
     assert list(Scale(BLUE_TO_RED, 0.0, 0.012).ticks().values())[:3] == ["0.000", "0.002", "0.004"]
     assert list(Scale(BLUE_TO_RED, 0.0, 2.0, whole=True).ticks().values()) == ["0", "1", "2"]
+
+
+def test_a_caption_that_is_a_little_too_long_is_made_smaller_not_cut() -> None:
+    text = "at most 6 for 2 eyes; 7% of the source is seen"
+
+    def width(tile: Tile) -> int:
+        """Pixels from the first to the last letter of the caption."""
+        inked = (np.asarray(sheet([[tile]]))[GAP + LINE + 44 :, GAP:-GAP] < 255).any(axis=(0, 2))
+        return int(np.flatnonzero(inked).max())
+
+    wide, narrow = (Tile(np.zeros((40, side, 3), np.uint8), "title", text) for side in (900, 420))
+    cut = Tile(np.zeros((40, 420, 3), np.uint8), "title", text[:-1])
+    assert 330 < width(narrow) < 420 < width(wide)
+    assert width(narrow) != width(cut)
 
 
 def test_long_captions_stay_under_their_pictures() -> None:

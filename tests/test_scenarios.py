@@ -6,16 +6,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ruamel.yaml import YAML
 
 from magiclens.artifacts import FloatArray, Lens, View
+from magiclens.errors import InputError
 from magiclens.images.files import read_image, write_png
 from magiclens.images.text import text
 from magiclens.plan import load_plan
 from magiclens.registry import Registry
 from magiclens.scenarios.base import Shot
+from magiclens.scenarios.multi_view import MultiView
 from magiclens.scenarios.pictures import ArtSource, Circles, ImageSource, Target, TextSource
 from magiclens.scenarios.rotating import Rotating
 from magiclens.scenarios.single import Single
+from magiclens.scenarios.stable_zone import StableZone
 from magiclens.spec.model import Viewer
 from toys import SpecWriter
 
@@ -152,3 +156,135 @@ def test_a_plans_scene_has_pictures(write_spec: SpecWriter, registry: Registry) 
     assert panda.shape == (1024, 1024, 1)
     assert 0 <= panda.min() < 0.1 < 0.9 < panda.max() <= 1
     assert not np.array_equal(panda, scene.views[1].target)
+
+
+def seen_from(eye: dict[str, str]) -> list[float]:
+    view = {"target": {"art": "grey"}, "eye": eye}
+    (shot,) = MultiView.model_validate({"source": CIRCLES, "views": [view]}).shots(LENS, VIEWER)
+    return shot.eye_mm.tolist()
+
+
+@pytest.mark.parametrize(
+    ("azimuth", "x", "y"), [(None, 1, 0), ("0deg", 1, 0), ("90deg", 0, 1), ("180deg", -1, 0), ("270deg", 0, -1)]
+)
+def test_a_tilted_eye_is_as_far_from_the_lenss_centre_as_the_viewer(azimuth: str | None, x: int, y: int) -> None:
+    eye = seen_from({"tilt": "30deg"} | ({"azimuth": azimuth} if azimuth else {}))
+    assert eye == pytest.approx([150 * x, 150 * y, 30 + 300 * np.sqrt(0.75)])
+    assert [str(value) for value in eye if value == 0] == ["0.0"]
+
+
+def test_an_eye_may_be_placed_beside_the_viewers() -> None:
+    assert seen_from({"x": "40mm", "y": "-5mm"}) == [40, -5, 330]
+    assert seen_from({"y": "1cm"}) == [0, 10, 330]
+
+
+def test_all_eyes_share_one_source_and_see_their_own_targets() -> None:
+    views = [{"target": {"art": art}, "eye": {"tilt": tilt}} for art, tilt in (("grey", "0deg"), ("red", "5deg"))]
+    left, right = MultiView.model_validate({"source": CIRCLES, "views": views}).compiled(LENS, VIEWER, ART)
+    assert left.source is right.source
+    assert (left.name, right.name, left.target_name, right.target_name) == ("eye-0", "eye-1", "eye-0", "eye-1")
+    assert left.target[0, 0].tolist() == [0.5, 0.5, 0.5]
+    assert right.target[0, 0].tolist() == [1, 0, 0]
+
+
+MULTI_VIEW = """\
+scenario:
+  type: multi-view
+  source: {type: circles, seed: 7}
+  views:
+    - {target: {art: panda}, eye: {tilt: 15deg, azimuth: 180deg}}
+    - {target: {art: bat}, eye: {tilt: 15deg}}
+lens: {size: 20mm, facets: 4}
+"""
+STABLE_ZONE = """\
+scenario:
+  type: stable-zone
+  source: {type: circles, seed: 7}
+  target: {art: panda}
+lens: {size: 20mm, facets: 4}
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "message"),
+    [
+        ("{tilt: 15deg}", "{}", 6, r"scenario\.views\.1\.eye: say where the eye is: \{tilt: 15deg, azimuth: 0deg\} or"),
+        ("{tilt: 15deg}", "{tilt: 15deg, x: 3mm}", 6, r"scenario\.views\.1\.eye: say where the eye is"),
+        ("{tilt: 15deg}", "{x: 3mm, azimuth: 3deg}", 6, r"scenario\.views\.1\.eye: say where the eye is"),
+        ("{tilt: 15deg}", "{tilt: 95deg}", 6, r"scenario\.views\.1\.eye\.tilt: .*80"),
+        ("{tilt: 15deg}", "{tilt: 15}", 6, r"scenario\.views\.1\.eye\.tilt: .*15deg"),
+        ("{tilt: 15deg}", "{tlit: 15deg}", 6, r"scenario\.views\.1\.eye\.tlit: unknown key; did you mean 'tilt'\?"),
+        (", eye: {tilt: 15deg}", "", 6, r"scenario\.views\.1\.eye: this key is required"),
+        ("type: circles, seed: 7", "type: circles, seed: 7, size: 10kg", 3, r"scenario\.source\.size: "),
+    ],
+)
+def test_a_wrong_multi_view_spec_gives_one_message(
+    write_spec: SpecWriter, old: str, new: str, line: int, message: str
+) -> None:
+    with pytest.raises(InputError, match=message) as error:
+        load_plan(write_spec((old, new), text=MULTI_VIEW))
+    assert f":{line}:" in str(error.value)
+    assert len(str(error.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("new", "message"),
+    [("cone: 0deg", r"\.cone: "), ("cone: 1.15", r"\.cone: .*deg"), ("apex: 1deg", r"\.apex: unknown key.*cone")],
+)
+def test_a_wrong_stable_zone_gives_one_message(write_spec: SpecWriter, new: str, message: str) -> None:
+    with pytest.raises(InputError, match=message) as error:
+        load_plan(write_spec(("target: {art: panda}", f"target: {{art: panda}}\n  {new}"), text=STABLE_ZONE))
+    assert len(str(error.value).splitlines()) == 1
+
+
+def test_a_stable_zone_has_nine_eyes_in_a_circular_cross() -> None:
+    zone = StableZone.model_validate({"source": CIRCLES, "target": {"art": "grey"}, "cone": "2deg"})
+    shots = zone.shots(LENS, VIEWER)
+    steps = np.array([shot.eye_mm for shot in shots]) - [7, -2, 330]
+    assert [shot.name for shot in shots][:3] == ["centre", "inner-right", "inner-up"]
+    away, inner = np.hypot(steps[:, 0], steps[:, 1]), 300 * np.tan(np.radians(1.0))
+    assert away[0] == 0
+    np.testing.assert_allclose(away[1:5], inner)
+    assert np.ptp(away[5:]) < 1e-9
+    assert away[5] > 1.5 * inner
+    np.testing.assert_allclose(steps.sum(axis=0), 0, atol=1e-9)
+    np.testing.assert_allclose(steps[:, 2], 0)
+    assert (np.abs(steps[1:, :2]).min(axis=1) == 0).all()
+    assert len({shot.target_name for shot in shots}) == len({shot.source_name for shot in shots}) == 1
+
+
+@pytest.mark.parametrize(("text", "screening"), [(MULTI_VIEW, 1e-3), (STABLE_ZONE, 1e-5)])
+def test_several_eyes_come_with_the_matcher_for_them(write_spec: SpecWriter, text: str, screening: float) -> None:
+    plan = load_plan(write_spec(text=text))
+    assert plan.matcher.stage.type == "multi-view"
+    assert plan.annealer.stage.screening == screening  # type: ignore[attr-defined]
+
+
+def test_lenses_for_several_eyes_bleed_and_lean_out_as_far_as_the_source_reaches(write_spec: SpecWriter) -> None:
+    lens = load_plan(write_spec(text=MULTI_VIEW)).lens
+    assert (lens.bleed_mm, lens.floor_mm) == (2.5, 20)
+    larger = load_plan(write_spec(("seed: 7", "seed: 7, size: 90mm"), text=MULTI_VIEW)).lens
+    assert (larger.bleed_mm, larger.floor_mm) == (2.5, 60)
+    one = load_plan(write_spec(("    - {target: {art: bat}, eye: {tilt: 15deg}}\n", ""), text=MULTI_VIEW)).lens
+    assert (one.bleed_mm, one.floor_mm) == (0, 0)
+
+
+def test_an_eye_aside_of_a_rotating_lens_is_several_eyes_to_the_lens() -> None:
+    turning = rotating(targets=[{"art": "grey"}] * 2)
+    lenses = [turning.fit(LENS, Viewer.model_validate({"distance": "300mm", "x": x})) for x in ("0mm", "7mm")]
+    assert [lens.bleed_mm > 0 for lens in lenses] == [False, True]
+    shot = turning.shots(LENS, VIEWER)[1]
+    view = turning.compiled(LENS, VIEWER, ART)[1]
+    np.testing.assert_allclose(shot.eye_in_lens_frame_mm, view.in_lens_frame().eye_mm)
+
+
+@pytest.mark.parametrize("text", [MULTI_VIEW, STABLE_ZONE])
+def test_a_resolved_spec_for_several_eyes_gives_the_same_plan(
+    write_spec: SpecWriter, text: str, tmp_path: Path
+) -> None:
+    plan = load_plan(write_spec(text=text))
+    path = tmp_path / "again.yaml"
+    YAML().dump(plan.resolved(), path)
+    again = load_plan(path)
+    assert again.resolved() == plan.resolved()
+    assert (again.lens, again.scenario) == (plan.lens, plan.scenario)

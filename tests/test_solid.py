@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import trimesh
 
 from magiclens.artifacts import FloatArray, Solid
-from magiclens.meshing.solid import grid_lines, solid_from_heights, volume
+from magiclens.meshing.solid import grid_lines, heights_of, solid_from_heights, volume
 from scenes import ABOVE, ASIDE, THICK, Eye, plane_points_mm, small_lens, surface
 
 LENS = small_lens(3, 4.0, microfacets=5, wall_mm=0.3)
@@ -134,3 +137,56 @@ def test_walls_have_their_width_and_facets_the_rest() -> None:
     within = np.delete(gaps, [0, 6, 12, 18])
     np.testing.assert_allclose(within, (LENS.pitch_mm - LENS.wall_mm) / LENS.microfacets)
     assert (lines[0], lines[-1]) == (-LENS.size_mm / 2, LENS.size_mm / 2)
+
+
+WIDE = replace(LENS, bleed_mm=1.5, floor_mm=40.0)
+
+
+@every_cut
+def test_a_lens_that_bleeds_and_leans_out_is_one_closed_ball(eye: Eye | None) -> None:
+    solid = solid_from_heights(surface(WIDE, np.random.default_rng(0).uniform(-2, 2, (3, 3, 6, 6)), eye))
+    mesh = trimesh.Trimesh(solid.vertices, solid.faces, process=False)
+    assert mesh.is_watertight
+    assert mesh.is_winding_consistent
+    assert mesh.euler_number == 2
+    assert mesh.body_count == 1
+    assert mesh.volume == pytest.approx(solid.metrics["volume_mm3"])
+    assert mesh.volume > bumpy(eye).metrics["volume_mm3"]
+    assert mesh.area_faces.min() > 0
+
+
+def test_the_volume_of_a_slab_that_leans_out_is_a_frustums() -> None:
+    solid = solid_from_heights(surface(WIDE, np.zeros(1), None))
+    top, bottom = LENS.size_mm + 3.0, 40.0
+    assert solid.metrics["volume_mm3"] == pytest.approx(THICK * (top**2 + top * bottom + bottom**2) / 3, rel=1e-12)
+
+
+@every_cut
+@pytest.mark.parametrize("floor", [0.0, 10.0, 40.0])
+def test_the_floor_holds_its_square_and_what_lies_below_the_lens(eye: Eye | None, floor: float) -> None:
+    lens = replace(LENS, floor_mm=floor)
+    field = surface(lens, np.zeros(1), eye)
+    bottoms = [s.vertices[s.vertices[:, 2] == 0] for s in (bumpy(eye), solid_from_heights(field))]
+    plain, found = (np.stack([b.min(axis=0), b.max(axis=0)])[:, :2] for b in bottoms)
+    half = floor / 2 if floor else -np.inf
+    np.testing.assert_allclose(found, [np.minimum(plain[0], -half), np.maximum(plain[1], half)], atol=1e-9)
+
+
+def test_outer_facets_go_on_into_the_bleed_with_their_slope() -> None:
+    x, y = plane_points_mm(WIDE)
+    z = top_grid(solid_from_heights(surface(WIDE, 0.2 * x - 0.1 * y, None)))
+    np.testing.assert_allclose(z[..., 2], THICK + 0.2 * z[..., 0] - 0.1 * z[..., 1], atol=1e-9)
+    assert (z[0, 0, 0], z[0, 0, 1]) == (-LENS.size_mm / 2 - 1.5, LENS.size_mm / 2 + 1.5)
+
+
+def test_what_goes_on_stays_within_the_relief() -> None:
+    x, _ = plane_points_mm(WIDE)
+    z = top_grid(solid_from_heights(surface(replace(WIDE, relief_mm=2.0), 0.3 * x, None)))[..., 2]
+    assert (z.min(), z.max()) == (THICK - 2.0, THICK + 2.0)
+
+
+@every_cut
+def test_heights_are_read_back_from_a_lens_that_bleeds(eye: Eye | None) -> None:
+    heights = np.random.default_rng(3).uniform(-2, 2, (3, 3, 6, 6))
+    found = heights_of(solid_from_heights(surface(WIDE, heights, eye)), WIDE)
+    np.testing.assert_allclose(found, heights, atol=1e-9)

@@ -311,9 +311,10 @@ def followed(solid: Solid, lens: Lens, eye: Eye, q: FloatArray) -> FloatArray:
 
 @eyes
 @cuts
-def test_paths_are_those_through_the_meshs_own_triangles(eye: Eye, cut: Eye | None) -> None:
+@pytest.mark.parametrize("sides", [{}, {"bleed_mm": 2.0, "floor_mm": 70.0}], ids=["", "leaning sides"])
+def test_paths_are_those_through_the_meshs_own_triangles(eye: Eye, cut: Eye | None, sides: dict[str, float]) -> None:
     """Slopes, walls and shadows of a rugged top; brute force knows nothing of grids and cells."""
-    lens = small_lens(3, 8.0, microfacets=2, gap_mm=5.0, wall_mm=0.5)
+    lens = small_lens(3, 8.0, microfacets=2, gap_mm=5.0, wall_mm=0.5, **sides)
     rng = np.random.default_rng(5)
     heights = rng.uniform(-1.5, 1.5, (3, 3, 1, 1)) + rng.uniform(-0.5, 0.5, (3, 3, 3, 3))
     solid = solid_from_heights(surface(lens, heights, cut))
@@ -328,6 +329,33 @@ def test_paths_are_those_through_the_meshs_own_triangles(eye: Eye, cut: Eye | No
             np.testing.assert_allclose(hits[i, j], expected, atol=1e-3)
         lost += expected[2] == 0
     assert 0 < lost < 0.5 * 26**2
+
+
+@cuts
+def test_a_ray_that_leaves_the_last_facet_sideways_reaches_the_source_where_the_sides_lean_out(cut: Eye | None) -> None:
+    lens, view = small_lens(4, 5.0, source=80.0), grey_view(BLANK, BLANK, LEFT_BEHIND)
+    points, share = through_a_plane(LEFT_BEHIND, samples_mm(lens, 24), 0.1, 0.0, 0.0)
+    upright, leaning = (
+        trace(tilted(replace(lens, floor_mm=f, bleed_mm=f / 40), 0.1, 0.0, cut), lens, view, 24, 1)[:, :, 0]
+        for f in (0.0, 60.0)
+    )
+    lost = upright[..., 2] == 0
+    assert lost[:, -3:].all()
+    assert not lost[12, 3]
+    seen = leaning[..., 2] > 0
+    assert seen.mean() > 0.95
+    np.testing.assert_allclose(leaning[seen, :2], points[seen], atol=2e-4)
+    np.testing.assert_allclose(leaning[seen, 2], share[seen], atol=1e-4)
+    np.testing.assert_array_equal(upright[~lost, :2], leaning[~lost, :2])
+
+
+def test_light_that_would_pass_through_a_leaning_side_is_lost() -> None:
+    lens, view = small_lens(4, 5.0, source=80.0), grey_view(BLANK, BLANK, LEFT_BEHIND)
+    points, _ = through_a_plane(LEFT_BEHIND, samples_mm(lens, 24), 0.0, 0.0, 0.0)
+    hits = trace(tilted(replace(lens, floor_mm=36.0), 0.0, 0.0, None), lens, view, 24, 1)[:, :, 0]
+    within = (np.abs(points) < 18.0).all(axis=-1)
+    assert 0.1 < within.mean() < 0.9
+    assert (within == (hits[..., 2] > 0)).all()
 
 
 @pytest.mark.parametrize("step", [1.0, 2.0])

@@ -49,6 +49,13 @@ class Pool:
         pool.maps = candidates.maps.reshape(n * n, k, 3).astype(np.float64) * (1, -1, 1)
         return pool
 
+    def restore(self, known: Pool) -> None:
+        """Give facets that have no candidate left those of another pool of this size."""
+        empty = ~np.isfinite(self.errors).any(axis=1)
+        self.errors[empty], self.offsets[empty], self.maps[empty] = (
+            known.errors[empty], known.offsets[empty], known.maps[empty]
+        )  # fmt: skip
+
     def sort(self) -> None:
         """Best first."""
         order = np.argsort(self.errors, axis=1, kind="stable")

@@ -72,7 +72,7 @@ def _difference(tile, images, which, per_mm, pitch, seen, maps, limit):
 @njit(cache=True, parallel=True)
 def search(
     targets, images, which, scales, per_mm, centres, heights, pitch, size, window, step, buckets, mirrored,
-    eyes, cut_eye, vertical, depth, gap, ior, cos_limit, errors, offsets, maps
+    eyes, cut_eye, depth, gap, ior, cos_limit, errors, offsets, maps
 ):
     """Try every offset and every map of the lattice for every facet; keep the best per bucket of the offset window.
 
@@ -90,7 +90,7 @@ def search(
         cx, cy = centres[f, 0], centres[f, 1]
         lit = True
         for v in range(views):
-            lit &= sight(eyes[v], cut_eye, vertical, cx, cy, heights[f], 0.0, 0.0, depth, gap, ior, True, seen[v])
+            lit &= sight(eyes[v], cut_eye, cx, cy, heights[f], 0.0, 0.0, depth, gap, ior, True, seen[v])
         if not lit:
             continue
         _cut_tile(targets, cx, cy, pitch, size, seen, tile)
@@ -103,7 +103,7 @@ def search(
                 for v in range(views):
                     if i % REFRESH == 0:
                         lit &= sight(
-                            eyes[v], cut_eye, vertical, cx, cy, heights[f], rx, ry, depth, gap, ior, False, seen[v]
+                            eyes[v], cut_eye, cx, cy, heights[f], rx, ry, depth, gap, ior, False, seen[v]
                         )
                     else:  # a few steps along SPAN, whose change over them is tiny
                         seen[v, LANDING] += seen[v, SPAN] * step
@@ -135,10 +135,10 @@ def search(
 
 
 @njit(cache=True)
-def _look(eyes, cut_eye, vertical, cx, cy, height, p, pitch, half_source, depth, gap, ior, seen, g):
+def _look(eyes, cut_eye, cx, cy, height, p, pitch, half_source, depth, gap, ior, seen, g):
     """Fill the sights (V, SIGHT) and local maps (V, 4) of a candidate; False if an eye misses the source."""
     for v in range(len(eyes)):
-        if not sight(eyes[v], cut_eye, vertical, cx, cy, height, p[0], p[1], depth, gap, ior, True, seen[v]):
+        if not sight(eyes[v], cut_eye, cx, cy, height, p[0], p[1], depth, gap, ior, True, seen[v]):
             return False
         local_map(seen[v], p[2:], g[v])
         if not _inside(seen[v], g[v], 0.5 * pitch, half_source):
@@ -192,7 +192,7 @@ def _normal_equations(targets, levels, widths, which, per_mm, size, pitch, pixel
 @njit(cache=True, parallel=True)
 def polish(
     targets, levels, widths, which, per_mm, centres, heights, pitch, size, pixels, window, step_mm, most, iterations,
-    isotropic, eyes, cut_eye, vertical, depth, gap, ior, cos_limit, errors, offsets, maps
+    isotropic, eyes, cut_eye, depth, gap, ior, cos_limit, errors, offsets, maps
 ):
     """Polish the first ``most`` candidates of every facet in place by Levenberg-Marquardt; all get their new error.
 
@@ -209,7 +209,7 @@ def polish(
             if not np.isfinite(errors[f, k]):
                 continue
             p[:2], p[2:] = offsets[f, k], maps[f, k]
-            if not _look(eyes, cut_eye, vertical, cx, cy, h, p, pitch, half_source, depth, gap, ior, seen, g):
+            if not _look(eyes, cut_eye, cx, cy, h, p, pitch, half_source, depth, gap, ior, seen, g):
                 errors[f, k] = np.inf
                 continue
             damping = 1e-2
@@ -225,7 +225,7 @@ def polish(
                     and reachable(
                         cx, cy, q[0], q[1], q[2], q[3], q[4], 0.5 * pitch, cut_eye, depth, gap, ior, cos_limit
                     )
-                    and _look(eyes, cut_eye, vertical, cx, cy, h, q, pitch, half_source, depth, gap, ior, seen, g)
+                    and _look(eyes, cut_eye, cx, cy, h, q, pitch, half_source, depth, gap, ior, seen, g)
                 ):
                     trial = _normal_equations(
                         targets, levels, widths, which, per_mm, size, pitch, pixels, seen, g, jtj, jtr, False
@@ -250,7 +250,7 @@ def polish(
 @njit(cache=True, parallel=True, fastmath={"contract", "reassoc", "arcp"})
 def judge(
     targets, sources, which, per_mm, centres, heights, pitch, size, pixels, microfacets, window, step, table,
-    eyes, cut_eye, vertical, depth, gap, ior, errors, offsets, maps
+    eyes, cut_eye, depth, gap, ior, errors, offsets, maps
 ):
     """The last word on candidates, as of ``judge.judge``: sources (S, C, H, W) in linear light, staircases and all."""
     views, channels = targets.shape[0], targets.shape[1]
@@ -268,7 +268,7 @@ def judge(
                 continue
             p[:2], p[2:] = offsets[f, k], maps[f, k]
             if not _look(
-                eyes, cut_eye, vertical, centres[f, 0], centres[f, 1], heights[f], p, pitch, np.inf,
+                eyes, cut_eye, centres[f, 0], centres[f, 1], heights[f], p, pitch, np.inf,
                 depth, gap, ior, seen, g
             ):  # fmt: skip
                 errors[f, k] = np.inf

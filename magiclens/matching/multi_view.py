@@ -50,4 +50,4 @@ class MultiView(Matcher):
         in the pictures of all eyes but the mean one."""
         from magiclens.matching.several_eyes import rematch
 
-        return rematch(self, scene, candidates, built.heights_mm.mean(axis=(2, 3)), progress)
+        return rematch(self, scene, candidates, built.levels_mm, progress)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -75,7 +75,7 @@ def match(options: MultiView, scene: Scene, heights: FloatArray, progress: Progr
     images = np.stack([averaged(eyes.sources, [(s * block + grain) / source_px for s in pair]) for pair in pairs])
     joint.search(
         targets, images, eyes.which, np.array(pairs), 1 / source_px, *_places(scene, heights), lens.pitch_mm,
-        lens.size_mm, window, step, pool.buckets, symmetric, eyes.positions_mm, *_cut(scene), pool.errors,
+        lens.size_mm, window, step, pool.buckets, symmetric, eyes.positions_mm, *optics(scene), pool.errors,
         pool.offsets, pool.maps,
     )
     progress(0.7)
@@ -92,21 +92,21 @@ def averaged(sources: FloatArray, box: Sequence[float]) -> FloatArray:
 def rematch(
     options: MultiView, scene: Scene, candidates: Candidates, heights: FloatArray, progress: Progress
 ) -> Candidates:
-    """See ``MultiView.rematch``."""
-    pool = Pool.of(candidates)
-    return _finish(options, scene, eyes_of(scene), pool, heights, progress)
+    """See ``MultiView.rematch``. Facets that now see nothing but the source's rim keep the candidates they had."""
+    return _finish(options, scene, eyes_of(scene), Pool.of(candidates), heights, progress, Pool.of(candidates))
 
 
 def _finish(
-    options: MultiView, scene: Scene, eyes: Eyes, pool: Pool, heights: FloatArray, progress: Progress
-) -> Candidates:
-    """Polish and judge a pool of candidates."""
+    options: MultiView, scene: Scene, eyes: Eyes, pool: Pool, heights: FloatArray, progress: Progress,
+    known: Pool | None = None,
+) -> Candidates:  # fmt: skip
+    """Polish and judge a pool of candidates; ``known`` is for facets that lose all of theirs."""
     lens = scene.lens
     window, step = options.window.mm(lens.source_size_mm) / 2, options.step.mm(lens.source_size_mm)
     per_mm = eyes.sources.shape[2] / lens.source_size_mm
     fine = eyes.rasters(2 * lens.facets * options.pixels)
     levels = np.stack([blur_levels(s, 1 / per_mm, seen_grain(scene), WIDTHS_MM) for s in eyes.sources], axis=1)
-    places, cut = _places(scene, heights), _cut(scene)
+    places, cut = _places(scene, heights), optics(scene)
     joint.polish(
         fine, levels, np.array(WIDTHS_MM), eyes.which, per_mm, *places, lens.pitch_mm, lens.size_mm,
         2 * options.pixels, window, step, options.polish, 10, options.maps == "scale", eyes.positions_mm, *cut,
@@ -119,18 +119,14 @@ def _finish(
         lens.microfacets, window, step, DISPLAY, eyes.positions_mm, *cut[:-1],
         pool.errors, pool.offsets, pool.maps,
     )
+    if known is not None:
+        pool.restore(known)
     unreached(pool, lens)
     pool.drop(options.acceptance)
     pool.sort()
-    return pool.candidates(lens, options.candidates)
+    return replace(pool.candidates(lens, options.candidates), heights_mm=heights)
 
 
 def _places(scene: Scene, heights: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(F, 2) facet centres, y down, and (F,) their heights."""
     return scene.lens.facet_centres_mm().reshape(-1, 2) * (1, -1), np.ascontiguousarray(heights, np.float64).ravel()
-
-
-def _cut(scene: Scene) -> tuple[FloatArray, bool, float, float, float, float]:
-    """What the kernels need to know of the lens: the eye its facets are cut for, and the slab."""
-    eye, *slab = optics(scene)
-    return (eye, scene.lens.cells == "vertical", *slab)  # type: ignore[return-value]

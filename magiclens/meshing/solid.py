@@ -25,7 +25,8 @@ def height_grid(heights: HeightField) -> FloatArray:
     n, _, k, _ = heights.heights_mm.shape
     inner = heights.heights_mm.transpose(0, 2, 1, 3).reshape(n * k, n * k)
     lens = heights.lens
-    onward = lens.bleed_mm / (lens.pitch_mm - lens.wall_mm) * lens.microfacets
+    beyond = lens.bleed_mm + lens.wall_mm / 2 if lens.bleed_mm else 0.0
+    onward = beyond / (lens.pitch_mm - lens.wall_mm) * lens.microfacets
     for _ in range(2):
         first, last = inner[:1] - onward * (inner[1:2] - inner[:1]), inner[-1:] + onward * (inner[-1:] - inner[-2:-1])
         inner = np.concatenate([first, inner, last]).T

@@ -9,7 +9,7 @@ import numpy as np
 
 from magiclens.artifacts import Assignment, FloatArray, Scene
 from magiclens.facets import central_slopes
-from magiclens.matching.predict import predict
+from magiclens.matching.predict import predict_view
 from magiclens.report.data import RunData
 from magiclens.report.figure import Figure
 from magiclens.report.photographs import photograph
@@ -24,11 +24,13 @@ def before_after(data: RunData) -> Figure:
     """Surface and predicted picture of every facet's best candidate, and of the annealed choice."""
     energies = data.manifest["metrics"]
     surfaces, pictures = [], []
-    for when, assignment in (("before", data.first), ("after", data.assignment)):
+    before = ("before", data.first, data.candidates.heights_mm)
+    after = ("after", data.assignment, data.height_field.levels_mm)
+    for when, assignment, heights in (before, after):
         energy = energies.get(f"energy_{when}")
         caption = "" if energy is None else f"energy {energy:.4g}"
         surfaces.append(Tile(surface(data.scene, assignment), f"Surface {when} annealing", caption))
-        pictures.append(_prediction(data.scene, assignment))
+        pictures.append(_prediction(data.scene, assignment, heights))
     return Figure(
         "annealing",
         "Before and after annealing",
@@ -60,9 +62,8 @@ def fine_slopes(scene: Scene, assignment: Assignment, parts: int) -> FloatArray:
     return central_slopes(finer, offsets.reshape(n, n, 1, 2))[:, :, 0]
 
 
-def _prediction(scene: Scene, assignment: Assignment) -> Tile:
-    """The first view's picture under perfect facets."""
+def _prediction(scene: Scene, assignment: Assignment, heights_mm: FloatArray | None) -> Tile:
+    """The first view's picture under perfect facets that stand at these heights (N, N)."""
     first = scene.views[0]
-    picture = predict(replace(scene, views=(first,)), assignment, SIDE)[0]
-    photo = photograph(picture, first)
+    photo = photograph(predict_view(scene, assignment, first, SIDE, heights_mm=heights_mm), first)
     return Tile(display(photo.picture, SIDE), "What it would show", f"{first.name}: {photo.caption}")

@@ -41,7 +41,7 @@ def place(view: View, lens: Lens, turned: bool) -> str:
     x, y, z = view.eye_mm
     parts = [f"lens at {view.rotation_deg:g}°"] if turned else []
     if abs(x) + abs(y) > 0.5:
-        parts.append(f"eye at ({x:.0f}, {y:.0f}) mm")
+        parts.append(f"eye at ({round(x)}, {round(y)}) mm")
     return ", ".join(parts) or f"eye {z - lens.thickness_mm:.0f} mm above the lens"
 
 

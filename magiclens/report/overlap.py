@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Sequence
 
 import numpy as np
 from numba import njit
 
-from magiclens.artifacts import Assignment, FloatArray, IntArray, Lens, View
+from magiclens.artifacts import FloatArray, IntArray, Lens, View
+from magiclens.facets import Patches, patches_seen
 from magiclens.report.data import RunData
 from magiclens.report.figure import Figure
 from magiclens.report.scales import BLUE_TO_RED, Pixels, Scale
@@ -22,16 +24,21 @@ FINER = 4
 
 def overlap_map(data: RunData) -> Figure:
     """The heat map in the lens frame, and every source with what no facet sees faded."""
-    views = data.scene.views
-    fine = overlaps(data.scene.lens, data.assignment, FINER * SIDE)
+    views, levels = data.scene.views, data.height_field.levels_mm
+    eyes = [tuple(view.in_lens_frame().eye_mm.round(6)) for view in views]
+    seen_by = {eye: patches_seen(data.scene, data.assignment, np.array(eye), levels) for eye in eyes}
+    each = {eye: overlaps(data.scene.lens, patches, FINER * SIDE) for eye, patches in seen_by.items()}
+    fine = np.asarray(np.sum(list(each.values()), axis=0))
     counts = coarse(fine)
     most = np.quantile(counts[counts > 0], 0.999, method="nearest") if counts.any() else 1
     scale = Scale(BLUE_TO_RED, 0.0, float(most), whole=True)
-    caption = f"at most {counts.max()}; {np.mean(fine > 0):.0%} of the source is seen"
+    together = f" for {len(each)} eyes" if len(each) > 1 else ""
+    caption = f"at most {counts.max()}{together}; {np.mean(fine > 0):.0%} of the source is seen"
     tiles = [Tile(scale.paint(counts), "How many facets see each point", caption, scale)]
     for name in dict.fromkeys(view.source_name for view in views):
-        of_source = [view for view in views if view.source_name == name]
-        tiles.append(Tile(faded(of_source[0].source, seen(of_source, counts)), "What they see of it", name))
+        of_source = [k for k, view in enumerate(views) if view.source_name == name]
+        shown = seen([views[k] for k in of_source], [coarse(each[eyes[k]]) for k in of_source])
+        tiles.append(Tile(faded(views[of_source[0]].source, shown), "What they see of it", name))
     return Figure(
         "overlap",
         "Where the facets look",
@@ -41,11 +48,10 @@ def overlap_map(data: RunData) -> Figure:
     )
 
 
-def overlaps(lens: Lens, assignment: Assignment, side: int) -> IntArray:
-    """(side, side) int32, lens frame, row 0 at +y: how many facets see the centre of each pixel of the source."""
-    patches = (lens.facet_centres_mm() + assignment.offsets_mm).reshape(-1, 2)
-    maps = assignment.maps.reshape(-1, 3).astype(np.float64)
-    counts: IntArray = _overlaps(patches, maps, lens.pitch_mm / 2, lens.source_size_mm, side)
+def overlaps(lens: Lens, patches: Patches, side: int) -> IntArray:
+    """(side, side) int32, lens frame, row 0 at +y: through how many facets the centre of each source pixel is seen."""
+    landings, maps = patches.landings_mm.reshape(-1, 2), np.ascontiguousarray(patches.maps.reshape(-1, 4))
+    counts: IntArray = _overlaps(landings, maps, lens.pitch_mm / 2, lens.source_size_mm, side)
     return counts
 
 
@@ -55,16 +61,16 @@ def _overlaps(patches, maps, half, size, side):
     counts = np.zeros((side, side), np.int32)
     pixel = size / side
     for f in range(len(patches)):
-        xx, xy, yy = maps[f]
-        determinant = xx * yy - xy * xy
-        if determinant == 0.0:
+        xx, xy, yx, yy = maps[f]
+        determinant = xx * yy - xy * yx
+        if determinant == 0.0 or math.isnan(determinant):
             continue
-        wide, tall = half * (abs(xx) + abs(xy)), half * (abs(xy) + abs(yy))
+        wide, tall = half * (abs(xx) + abs(xy)), half * (abs(yx) + abs(yy))
         left, top = 0.5 * size + patches[f, 0], 0.5 * size - patches[f, 1]
         for r in range(max(int((top - tall) / pixel), 0), min(int((top + tall) / pixel) + 1, side)):
             for c in range(max(int((left - wide) / pixel), 0), min(int((left + wide) / pixel) + 1, side)):
                 x, y = (c + 0.5) * pixel - left, top - (r + 0.5) * pixel
-                u, v = (yy * x - xy * y) / determinant, (xx * y - xy * x) / determinant
+                u, v = (yy * x - xy * y) / determinant, (xx * y - yx * x) / determinant
                 if -half <= u < half and -half <= v < half:
                     counts[r, c] += 1
     return counts
@@ -76,9 +82,10 @@ def coarse(counts: IntArray) -> IntArray:
     return np.asarray(np.max([rows[:, k::FINER] for k in range(FINER)], axis=0))
 
 
-def seen(views: Iterable[View], counts: IntArray) -> IntArray:
-    """Counts (side, side) added up over the views of a source, in the source's own frame."""
-    return np.asarray(np.sum([np.rot90(counts, view.quarter_turns) for view in views], axis=0))
+def seen(views: Sequence[View], counts: Sequence[IntArray]) -> IntArray:
+    """Counts (side, side) of each view, lens frame, added up in the frame of the source that the views share."""
+    turned = [np.rot90(of_view, view.quarter_turns) for view, of_view in zip(views, counts, strict=True)]
+    return np.asarray(np.sum(turned, axis=0))
 
 
 def faded(source: FloatArray, counts: IntArray) -> Pixels:

@@ -109,8 +109,8 @@ def _write(draw: ImageDraw, x: int, y: int, text: str, colour: str, width: int) 
     from PIL import ImageFont
 
     line = " ".join(text.split())
-    size = TEXT * min(1.0, width / max(ImageFont.load_default(TEXT).getlength(line), 1.0))
-    font = ImageFont.load_default(max(size, SMALLEST))
+    fonts = (ImageFont.load_default(size) for size in range(TEXT, SMALLEST, -1))
+    font = next((font for font in fonts if font.getlength(line) <= width), ImageFont.load_default(SMALLEST))
     fits = next(k for k in range(len(line), -1, -1) if font.getlength(line[:k]) <= width)
     draw.text((x, y), line[:fits], fill=colour, font=font, anchor="lm")
 

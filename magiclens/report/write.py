@@ -13,6 +13,7 @@ from magiclens.report.page import page
 from magiclens.report.photographs import photographs
 from magiclens.report.sheet import sheet
 from magiclens.report.surface import height_map, step_map
+from magiclens.report.zone import zone_figures
 
 
 def write_report(data: RunData, folder: Path) -> None:
@@ -20,6 +21,7 @@ def write_report(data: RunData, folder: Path) -> None:
     scene, seen = data.scene, photographs(data)
     figures = [
         contact_sheet(data, seen),
+        *(zone_figures(data, data.zone) if data.zone else []),
         *(error_map(name, photos, scene.views, scene.lens.facets) for name, photos in list(seen.items())[:1]),
         height_map(data.height_field),
         step_map(data.height_field),

@@ -29,6 +29,13 @@ class Shot:
     source_name: str = "source"
     target_name: str = "target"
 
+    @property
+    def eye_in_lens_frame_mm(self) -> FloatArray:
+        """(3,) the eye as an observer who turns with the lens sees it."""
+        x, y, z = self.eye_mm
+        across, up = toward(self.rotation_deg)
+        return np.array([across * x + up * y, across * y - up * x, z])
+
     def __str__(self) -> str:
         x, y, z = self.eye_mm
         seen = f"eye ({x:g}, {y:g}, {z:g}) mm, rotation {self.rotation_deg:g} deg"
@@ -39,6 +46,11 @@ class Scenario(SpecModel, ABC):
     """Base of all scenarios: the fields are the YAML keys, ``type`` is the name a spec picks it by."""
 
     type: ClassVar[str]
+
+    @property
+    def frames_per_second(self) -> float | None:
+        """The speed at which the views are frames of an animation; None if they are none."""
+        return None
 
     @abstractmethod
     def shots(self, lens: Lens, viewer: Viewer) -> tuple[Shot, ...]:
@@ -58,9 +70,8 @@ class Scenario(SpecModel, ABC):
         sizes = {lens.size_mm if s.source.size is None else s.source.size for s in shots}
         if len(sizes) > 1:
             raise ValueError(f"all sources need the same size, found {', '.join(f'{s:g}mm' for s in sorted(sizes))}")
-        several = len({tuple(s.eye_mm) for s in shots}) > 1
         size = sizes.pop()
-        if not several:
+        if len({tuple(s.eye_in_lens_frame_mm.round(6)) for s in shots}) == 1:
             return replace(lens, source_size_mm=size)
         floor = min(size, lens.size_mm + lens.thickness_mm)
         return replace(lens, source_size_mm=size, bleed_mm=lens.pitch_mm / 2, floor_mm=floor)

@@ -18,14 +18,14 @@ class Eye(SpecModel):
     """Where an eye is, seen from the lens's centre: by direction, or by position."""
 
     tilt: Angle | None = Field(None, ge=0, lt=80, description="from straight above")
-    azimuth: Angle = Field("0deg", validate_default=True, description="0deg is to the right, 90deg up the picture")
+    azimuth: Angle | None = Field(None, description="of the tilt: 0deg is to the right, 90deg up the picture")
     x: Length | None = Field(None, description="to the right of the lens's centre; with y and the viewer's distance")
     y: Length | None = Field(None, description="above the lens's centre, as the viewer sees it")
 
     @model_validator(mode="after")
     def _one_way(self) -> Eye:
-        placed = self.x is not None or self.y is not None
-        if placed == (self.tilt is not None):
+        placed, tilted = self.x is not None or self.y is not None, self.tilt is not None
+        if placed == tilted or (placed and self.azimuth is not None):
             raise ValueError("say where the eye is: {tilt: 15deg, azimuth: 0deg} or {x: 100mm, y: 0mm}")
         return self
 
@@ -34,7 +34,7 @@ class Eye(SpecModel):
         if self.tilt is None:
             return np.array([self.x or 0.0, self.y or 0.0, lens.thickness_mm + viewer.distance])
         tilt = np.radians(self.tilt)
-        away = viewer.distance * np.append(np.sin(tilt) * toward(self.azimuth), np.cos(tilt))
+        away = viewer.distance * np.append(np.sin(tilt) * toward(self.azimuth or 0.0), np.cos(tilt))
         return np.array([0.0, 0.0, lens.thickness_mm]) + away
 
 

@@ -18,6 +18,7 @@ from magiclens.scenarios.pictures import Art, Source, Target
 from magiclens.spec.fields import ImageFile, InputFile
 from magiclens.spec.model import Choice, SpecModel, Viewer
 
+STEP_WEIGHT = 1e-5
 MOST_FRAMES = 64
 """A run draws and renders every frame; `mlens encode` takes longer movies."""
 
@@ -88,6 +89,13 @@ class UniversalAnimation(Scenario):
         {"type": "texture"}, validate_default=True, description="what covers pixels that no facet sees (5.2)"
     )
 
+    fps: float = Field(8.0, gt=0, le=50, description="frames per second of the animations")
+
+    @property
+    def frames_per_second(self) -> float | None:
+        """See ``Scenario``."""
+        return self.fps
+
     def suited(self) -> dict[str, Choice]:
         """Facets draw their places at random; sources are painted for the finished lens."""
         return universal(self.subdivisions, self.camouflage)
@@ -107,9 +115,11 @@ class UniversalAnimation(Scenario):
 
 
 def universal(subdivisions: int, camouflage: Camouflage) -> dict[str, Choice]:
-    """The stages of a universal lens."""
+    """The stages of a universal lens. Light that walls take cannot be painted, so steps are free to be high."""
     return {
         "matcher": {"type": "dart-throwing", "subdivisions": subdivisions},
+        "annealer": {"type": "heat-bath", "step_weight": STEP_WEIGHT},
+        "integrator": {"type": "poisson", "step_weight": STEP_WEIGHT},
         "encoder": {"type": "least-squares", "camouflage": camouflage.model_dump(mode="json", exclude_none=True)},
     }
 

@@ -1,0 +1,222 @@
+"""What other eyes see through facets made for one: against the tracer, and against walls seen askew."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from magiclens.artifacts import Assignment, FloatArray, HeightField, Scene, View
+from magiclens.facets import edge_models, patches_seen
+from magiclens.integration.orientation import edge_rises
+from magiclens.integration.two_level import lenslets
+from magiclens.matching.predict import predict
+from magiclens.meshing.solid import solid_from_heights
+from magiclens.optics.eyes import FLAT, LANDING, MAP, PLACE, SHEAR, SIGHT, SPAN, local_map, sight, sights
+from magiclens.optics.refraction import facet_normal
+from magiclens.optics.walls import DOWN, LEFT, RIGHT, UP
+from magiclens.rendering.trace import trace
+from magiclens.rendering.tracer import Tracer
+from scenes import (
+    ABOVE,
+    ASIDE,
+    IOR,
+    THICK,
+    Eye,
+    assigned,
+    blank_scene,
+    grey_view,
+    plane_points_mm,
+    ramps,
+    small_lens,
+    surface,
+)
+
+NEAR, FAR_RIGHT, BEHIND = (40.0, -25.0, THICK + 400.0), (104.0, 0.0, THICK + 386.0), (-70.0, 45.0, THICK + 400.0)
+EYES = [NEAR, FAR_RIGHT, BEHIND]
+BLANK = np.ones((8, 8))
+gaps = pytest.mark.parametrize("gap", [0.0, 30.0])
+
+
+def onward(eye: Eye, gap: float) -> FloatArray:
+    """How far sideways a flat facet shows the source to this eye."""
+    return -np.array(eye[:2]) * (THICK / IOR + gap) / (eye[2] - THICK)
+
+
+def block(row: FloatArray, start: int) -> FloatArray:
+    return row[start : start + 4].reshape(2, 2)
+
+
+@gaps
+@pytest.mark.parametrize("height", [0.0, 1.2, -0.8])
+@pytest.mark.parametrize("eye", [ABOVE, ASIDE])
+def test_the_eye_that_a_facet_was_made_for_sees_its_patch(eye: Eye, height: float, gap: float) -> None:
+    out, centre, offset = np.zeros(SIGHT), np.array([12.0, -7.0]), np.array([2.0, -3.0])
+    assert sight(np.array(eye), np.array(eye), *centre, height, *offset, THICK, gap, IOR, True, out)
+    np.testing.assert_allclose(out[LANDING : LANDING + 2], centre + offset, atol=1e-9)
+    np.testing.assert_allclose(out[PLACE : PLACE + 2], centre, atol=1e-9)
+    np.testing.assert_allclose(block(out, MAP), np.zeros((2, 2)), atol=1e-7)
+    np.testing.assert_allclose(block(out, SPAN), np.eye(2), atol=1e-7)
+    np.testing.assert_allclose(block(out, SHEAR), np.eye(2), atol=1e-7)
+    m, seen = np.array([0.3, -0.2, 0.7]), np.zeros(4)
+    local_map(out, m, seen)
+    np.testing.assert_allclose(seen, [0.3, -0.2, -0.2, 0.7], atol=1e-7)
+
+
+def test_the_reference_eye_of_a_scene_sees_offsets_and_maps_exactly() -> None:
+    rng, lens = np.random.default_rng(0), small_lens(3)
+    scene = Scene(lens, (grey_view(BLANK, BLANK, (-30.0, 5.0, 440.0)), grey_view(BLANK, BLANK, (30.0, 5.0, 440.0))))
+    chosen = assigned(rng.uniform(-2, 2, (3, 3, 2)), rng.uniform(-1, 1, (3, 3, 3)))
+    seen = patches_seen(scene, chosen, np.array([0.0, 5.0, 440.0]), np.full((3, 3), 0.7))
+    np.testing.assert_array_equal(seen.landings_mm, lens.facet_centres_mm() + chosen.offsets_mm)
+    np.testing.assert_array_equal(seen.maps[..., [0, 0, 1, 1], [0, 1, 0, 1]], chosen.maps[..., [0, 1, 1, 2]])
+    np.testing.assert_array_equal(seen.places_mm, lens.facet_centres_mm())
+    np.testing.assert_array_equal(seen.shears, np.broadcast_to(np.eye(2), (3, 3, 2, 2)))
+
+
+def lens_at(scene: Scene, chosen: Assignment, levels: FloatArray) -> HeightField:
+    """Facets that show what they were assigned, at given mean heights (N, N), by the integrator's own steps."""
+    n, k = scene.lens.facets, scene.lens.microfacets + 1
+    heights = np.zeros((n, n, k, k)) + levels[..., None, None]
+    for _ in range(5):
+        rows, columns, _ = edge_rises(scene, chosen, heights)
+        heights = lenslets(rows, columns).reshape(n, n, k, k) + levels[..., None, None]
+    return HeightField(scene.lens, heights, None if scene.lens.cells == "vertical" else scene.reference_eye_mm)
+
+
+@pytest.mark.parametrize(
+    ("cells", "height", "gap"), [("eye", 0.0, 0.0), ("eye", 0.7, 30.0), ("vertical", 0.7, 0.0), ("vertical", 0.0, 30.0)]
+)
+@pytest.mark.parametrize(("made_for", "eye"), [(ABOVE, FAR_RIGHT), (ABOVE, BEHIND), (ASIDE, NEAR)])
+def test_other_eyes_see_what_the_tracer_finds(made_for: Eye, eye: Eye, cells: str, height: float, gap: float) -> None:
+    """In place and in shape. The lens is one facet, small, so that only the linear part of what it shows matters."""
+    pitch, per, rng = 1.0, 256, np.random.default_rng(1)
+    lens = small_lens(1, pitch, source=150.0, microfacets=96, gap_mm=gap, cells=cells, floor_mm=100.0)
+    scene = blank_scene(lens, made_for)
+    signs, sizes = rng.choice([-1.0, 1.0], 2), rng.uniform(0.2, 0.9, 2)
+    chosen = assigned(
+        np.reshape(onward(made_for, gap) + rng.uniform(-1.5, 1.5, 2), (1, 1, 2)),
+        np.array([signs[0] * sizes[0], 0.25, signs[1] * sizes[1]]),
+    )
+    field = lens_at(scene, chosen, np.full((1, 1), height))
+    hits = trace(solid_from_heights(field), lens, grey_view(BLANK, BLANK, eye), per, 1)[:, :, 0].astype(float)
+    (seen,) = sights(
+        np.array(eye), np.array(made_for), np.zeros((1, 2)), field.heights_mm[:, :, 48, 48].ravel(),
+        chosen.offsets_mm.reshape(1, 2).astype(float), THICK, gap, IOR,
+    )  # fmt: skip
+    expected = block(seen, MAP) + block(seen, SPAN) @ chosen.maps[0, 0][[0, 1, 1, 2]].reshape(2, 2)
+    at = ((np.arange(per) + 0.5) / per - 0.5) * pitch
+    q = np.stack(np.meshgrid(at, -at), axis=-1) - seen[PLACE : PLACE + 2]
+    p = q @ np.linalg.inv(block(seen, SHEAR)).T
+    own = np.abs(p).max(axis=-1) < 0.25 * pitch
+    assert own.sum() > 3000
+    assert (hits[own, 2] > 0).all()
+    x, y = p[own].T
+    quadratic = np.column_stack([np.ones_like(x), x, y, x**2, x * y, y**2])
+    fit = np.linalg.lstsq(quadratic, hits[own, :2], rcond=None)[0]
+    np.testing.assert_allclose(fit[0], seen[LANDING : LANDING + 2], atol=3e-3)
+    np.testing.assert_allclose(fit[1:3].T, expected, atol=1.2e-2)
+    assert np.linalg.norm(fit[0] - chosen.offsets_mm[0, 0]) > 1.0
+
+
+@gaps
+def test_within_a_flat_micro_facet_the_source_passes_by_as_through_a_plane(gap: float) -> None:
+    lens, offset = small_lens(2, 1.0, source=150.0, gap_mm=gap, floor_mm=100.0), np.array([3.0, -2.0])
+    (seen,) = sights(
+        np.array(FAR_RIGHT), np.array(ABOVE), np.zeros((1, 2)), np.zeros(1), offset[None], THICK, gap, IOR
+    )  # fmt: skip
+    nx, ny, nz = facet_normal(*ABOVE, 0.0, 0.0, THICK, *offset, gap, IOR)
+    x, y = plane_points_mm(lens)
+    plane = solid_from_heights(surface(lens, -(nx * x + ny * y) / nz, None))
+    hits = trace(plane, lens, grey_view(BLANK, BLANK, FAR_RIGHT), 64, 1)[20:44, 20:44, 0].astype(float)
+    at = (((np.arange(64) + 0.5) / 64 - 0.5) * lens.size_mm)[20:44]
+    p = np.stack(np.meshgrid(at, -at), axis=-1).reshape(-1, 2) @ np.linalg.inv(block(seen, SHEAR)).T
+    fit = np.linalg.lstsq(np.column_stack([np.ones(len(p)), p]), hits.reshape(-1, 3)[:, :2], rcond=None)[0]
+    np.testing.assert_allclose(fit[0], seen[LANDING : LANDING + 2], atol=1e-4)
+    np.testing.assert_allclose(fit[1:].T, block(seen, FLAT), atol=1e-3)
+    assert np.abs(block(seen, FLAT) - np.eye(2)).max() > 0.05
+
+
+def test_what_is_reflected_totally_is_not_seen_and_predicted_black() -> None:
+    """A facet that bends light far to the right traps the light of an eye that looks to the right already."""
+    far_left = np.array([-700.0, 0.0, THICK + 400.0])
+    offsets = np.array([[0.0, 0.0], [15.0, 0.0]])
+    seen = sights(far_left, np.array(ABOVE), np.zeros((2, 2)), np.zeros(2), offsets, THICK, 5.0, IOR)
+    assert np.isfinite(seen[0]).all()
+    assert np.isnan(seen[1]).all()
+    white = np.ones((16, 16))
+    scene = Scene(
+        small_lens(1, source=90.0, gap_mm=5.0),
+        tuple(grey_view(white, white, (x, 0.0, THICK + 400.0)) for x in (-700.0, 700.0)),
+    )
+    for offset, light in zip(offsets, (1.0, 0.0), strict=True):
+        picture = predict(scene, assigned(offset.reshape(1, 1, 2), np.array([0.2, 0.0, 0.2])), 16, 1)[0]
+        np.testing.assert_allclose(picture, light, atol=1e-6)
+
+
+@pytest.mark.parametrize("turns", [0, 1])
+def test_the_prediction_for_other_eyes_is_the_traced_picture(turns: int) -> None:
+    """The source tells by its colour which point is seen. Where the facets stand matters."""
+    lens, rng = small_lens(3, 3.0, source=60.0, microfacets=48, floor_mm=56.0, bleed_mm=1.5), np.random.default_rng(0)
+    views = tuple(View("v", ramps(), ramps(), np.array([x, 0.3 * x, 440.0]), 90.0 * turns) for x in (90.0, -90.0))
+    scene = Scene(lens, views)
+    chosen = assigned(rng.uniform(-1, 1, (3, 3, 2)), np.array([0.5, 0.1, -0.4]))
+    field = lens_at(scene, chosen, rng.uniform(-1, 1, (3, 3)))
+    traced = Tracer(resolution=96, samples=2).render(scene, solid_from_heights(field))
+    standing, lying = (predict(scene, chosen, 96, 2, at) for at in (field.levels_mm, None))
+    for k in range(2):
+        lit = traced[k][..., 2] > 0.8
+        points = [(p[k][lit, :2] / p[k][lit, 2:] - 0.5) * 60.0 for p in (traced, standing, lying)]
+        astray, astray_lying = (np.linalg.norm(points[0] - p, axis=-1) for p in points[1:])
+        assert lit.mean() > 0.9
+        assert np.median(astray) < 0.03
+        assert np.quantile(astray, 0.9) < 0.06
+        assert np.quantile(astray_lying, 0.9) > 0.08
+
+
+def test_walls_of_a_scene_whose_views_share_one_eye_are_those_of_that_eye() -> None:
+    rng, lens = np.random.default_rng(0), small_lens(3)
+    offsets, maps = rng.uniform(-2, 2, (3, 3, 4, 2)), rng.uniform(-1, 1, (3, 3, 4, 3))
+    one, same = (Scene(lens, (grey_view(BLANK, BLANK, ASIDE),) * k) for k in (1, 4))
+    for a, b in zip(edge_models(one, offsets, maps), edge_models(same, offsets, maps), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("cells", ["eye", "vertical"])
+@pytest.mark.parametrize("edge", [RIGHT, UP, LEFT, DOWN])
+def test_a_wall_takes_light_inside_the_slab_and_where_an_eye_sees_it(edge: int, cells: str) -> None:
+    """Eyes on either side of a plateau: one sees its wall, light of the other meets it from within."""
+    step, count, side = 0.8, 600, edge in (RIGHT, LEFT)
+    lens = small_lens(3, 4.0, source=150.0, wall_mm=1e-4, microfacets=1, floor_mm=120.0, cells=cells)
+    eyes = [(x, 0.0, THICK + 400.0) if side else (0.0, x, THICK + 400.0) for x in (100.0, -100.0)]
+    scene = Scene(lens, tuple(grey_view(BLANK, BLANK, eye) for eye in eyes))
+    flat = np.zeros((3, 3, 1, 1))
+    plateau = flat.copy()
+    plateau[1, 1] = step
+    solids = [solid_from_heights(surface(lens, h, None if cells == "vertical" else ABOVE)) for h in (flat, plateau)]
+    pixel, middle = lens.size_mm / count, count // 2 + 3
+    beyond = ((np.arange(count) + 0.5) * pixel - lens.size_mm / 2) * (1 if edge in (RIGHT, DOWN) else -1) > 0
+    widths = []
+    for view in scene.views:
+        straight, seen = (trace(solid, lens, view, count, 1)[:, :, 0] for solid in solids)
+        straight, seen = (hits[middle] if side else hits[:, middle] for hits in (straight, seen))
+        astray = (np.abs(seen - straight)[:, :2].max(axis=-1) > 0.5) | (seen[:, 2] == 0)
+        widths.append((astray & beyond).sum() * pixel)
+    _, drifts = edge_models(scene, np.zeros((3, 3, 1, 2)), np.ones((3, 3, 1, 3)) * (1, 0, 1))
+    assert min(widths) > 0.1
+    assert np.mean(widths) == pytest.approx(step * drifts[1, 1, 0, edge], abs=pixel)
+
+
+@pytest.mark.parametrize("cells", ["eye", "vertical"])
+def test_what_a_wall_takes_is_a_mean_over_the_eyes(cells: str) -> None:
+    rng, lens = np.random.default_rng(2), small_lens(3, cells=cells)
+    offsets, maps = rng.uniform(-2, 2, (3, 3, 2, 2)), rng.uniform(-1, 1, (3, 3, 2, 3))
+    centre, aside = np.array(ABOVE), np.array([80.0, 30.0, 0.0])
+
+    def drifts(*eyes: FloatArray) -> FloatArray:
+        return edge_models(Scene(lens, tuple(grey_view(BLANK, BLANK, tuple(e)) for e in eyes)), offsets, maps)[1]
+
+    # all pairs have the same middle, and so the same facets
+    pairs = [drifts(centre + k * aside, centre - k * aside) for k in (1.0, 0.5)]
+    four = drifts(*(centre + k * aside for k in (1.0, 0.5, -0.5, -1.0)))
+    np.testing.assert_allclose(four, np.mean(pairs, axis=0), atol=1e-6)
+    assert (pairs[0] > drifts(centre) + 0.01).mean() > 0.3

@@ -1,0 +1,93 @@
+"""A finished universal lens shows other pictures, without being designed again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from magiclens.cli import app
+from magiclens.errors import InputError
+from magiclens.images import score
+from magiclens.images.art import ART
+from magiclens.images.files import read_image, write_png
+from magiclens.images.movies import read_frames, write_gif
+from magiclens.reopen import reopen
+from magiclens.run import Run, run_spec
+
+SPEC = """\
+scenario:
+  type: universal-animation
+  frames: {art: worm, length: 2}
+  camouflage: {type: noise}
+lens: {size: 30mm, facets: 6, microfacets: 40, thickness: 30mm}
+viewer: {distance: 300mm}
+pipeline:
+  matcher: {reach: 15%}
+  exporters: []
+"""
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    folder = tmp_path_factory.mktemp("universal")
+    (folder / "worm.yaml").write_text(SPEC)
+    return run_spec(folder / "worm.yaml", folder / "out")
+
+
+def invoke(*arguments: str | Path) -> str:
+    done = CliRunner().invoke(app, [str(a) for a in arguments])
+    assert done.exit_code == 0, done.output
+    return done.output
+
+
+def test_a_run_keeps_what_the_reopened_lens_is_made_of(run: Run) -> None:
+    again = reopen(run.folder).solid
+    np.testing.assert_allclose(again.vertices, run.data.solid.vertices, atol=1e-6)
+    np.testing.assert_array_equal(again.faces, run.data.solid.faces)
+
+
+def test_an_animation_comes_with_its_movies(run: Run) -> None:
+    for name in ("sources.gif", "sources.mp4", "seen.gif", "seen.mp4"):
+        assert len(list(read_frames(run.folder / "animations" / name))) == 2
+
+
+def test_another_picture_is_encoded_and_decoded(run: Run, tmp_path: Path) -> None:
+    target = ART["heart"](256)
+    write_png(tmp_path / "heart.png", target)
+    invoke("encode", run.folder, tmp_path / "heart.png", "-o", tmp_path / "source.png")
+    invoke("decode", run.folder, tmp_path / "source.png", "-o", tmp_path / "seen.png")
+    source, seen = read_image(tmp_path / "source.png"), read_image(tmp_path / "seen.png")
+    assert source.shape[:2] == run.data.scene.views[0].source.shape[:2]
+    assert score(seen, target).psnr_db > 22
+    assert score(seen, target).psnr_db > score(source, target).psnr_db + 10
+
+
+def test_movies_are_encoded_frame_by_frame(run: Run, tmp_path: Path) -> None:
+    frames = [ART[name](128) for name in ("star", "moon", "key")]
+    write_gif(tmp_path / "film.gif", frames, 10)
+    invoke("encode", run.folder, tmp_path / "film.gif", "-o", tmp_path / "sources")
+    invoke("decode", run.folder, tmp_path / "sources", "-o", tmp_path / "seen.mp4")
+    for seen, target in zip(read_frames(tmp_path / "seen.mp4"), frames, strict=True):
+        assert score(seen, target).psnr_db > 20
+
+
+def test_colour_and_equal_bytes(run: Run, tmp_path: Path) -> None:
+    target = np.zeros((64, 64, 3), np.float32)
+    target[:, :32, 0], target[:, 32:, 2] = 0.8, 0.5
+    write_png(tmp_path / "flag.png", target)
+    for name in ("one.png", "two.png"):
+        invoke("encode", run.folder, tmp_path / "flag.png", "-o", tmp_path / name)
+    assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
+    lens = reopen(run.folder)
+    (seen,) = lens.decode([read_image(tmp_path / "one.png")])
+    assert score(seen, target).psnr_db > 22
+
+
+def test_what_cannot_be_reopened_says_so(run: Run, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="not a run folder"):
+        reopen(tmp_path)
+    with pytest.raises(InputError, match="unknown view 'frame-09'; did you mean 'frame-0"):
+        reopen(run.folder).view("frame-09")
