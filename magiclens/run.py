@@ -164,11 +164,15 @@ def _make(plan: Plan, folder: Path, worker: _Worker) -> RunData:
     zone = _zone(plan, given, scene, rough, worker)
     if zone:
         metrics |= zone.metrics
+    hidden = None
     if plan.encoder:
-        metrics |= _changes(given, scene)
+        from magiclens.secrecy import secrecy
+
+        hidden = worker.part("secrecy", partial(secrecy, scene, assignment))
+        metrics |= _changes(given, scene) | hidden.metrics
         _write_sources(given, folder, "given")
     facts = manifest(plan, inputs, scene, metrics, _scores(scene, renders))
-    data = RunData(given, scene, candidates, first, assignment, height_field, solid, renders, facts, zone)
+    data = RunData(given, scene, candidates, first, assignment, height_field, solid, renders, facts, zone, hidden)
     worker.part("report", partial(write_report, data, folder))
     return data
 

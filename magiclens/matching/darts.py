@@ -15,6 +15,7 @@ from magiclens.errors import InputError
 from magiclens.facets import edge_models
 from magiclens.matching.driver import flat_scale, optics
 from magiclens.matching.search import reachable
+from magiclens.matching.strength import injective_maps_bits
 from magiclens.matching.shuffling import shuffle
 from magiclens.optics.refraction import facet_normal
 
@@ -107,6 +108,7 @@ def match(options: DartThrowing, scene: Scene, rng: np.random.Generator) -> Cand
         offsets.reshape(n, n, 4, 2).astype(np.float32),
         np.take_along_axis(maps, order, 1).reshape(n, n, 4, 3).astype(np.float32),
         np.where(np.take_along_axis(usable, order[..., 0], 1), 0, np.inf).reshape(n, n, 4).astype(np.float32),
+        {"permutation_bits": injective_maps_bits(reach.places, reach.usable, np.random.default_rng(0))},
     )
 
 

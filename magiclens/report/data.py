@@ -48,12 +48,36 @@ class Zone:
 
 
 @dataclass(frozen=True)
+class Secrecy:
+    """What painted sources give away to somebody without the lens (section 7), on average over the views.
+
+    psnr_db, ssim: of the sources against their targets. tiles: (N, N) likeness, 0 to 1, of each tile of the target and
+    the patch that its facet looks at; chance: the same of other facets' patches.
+    """
+
+    psnr_db: float
+    ssim: float
+    tiles: FloatArray
+    chance: float
+
+    @property
+    def metrics(self) -> dict[str, float]:
+        """For the manifest."""
+        return {
+            "stealth_psnr_db": self.psnr_db,
+            "stealth_ssim": self.ssim,
+            "tile_leakage": float(self.tiles.mean()),
+            "tile_leakage_by_chance": self.chance,
+        }
+
+
+@dataclass(frozen=True)
 class RunData:
     """Everything a run has made. Equal runs have equal data: the manifest has no timings and no file list yet.
 
     given: the scene before an encoder edited its sources; ``scene`` itself if there is none. first: each facet's best
     candidate, what annealing started from. renders: by renderer type, one picture per view, (R, R, C) float32, linear.
-    zone: where all eyes shall see the same, what they see in between.
+    zone: where all eyes shall see the same, what they see in between. secrecy: of painted sources.
     """
 
     given: Scene
@@ -66,3 +90,4 @@ class RunData:
     renders: Mapping[str, Sequence[FloatArray]]
     manifest: Mapping[str, Any]
     zone: Zone | None = None
+    secrecy: Secrecy | None = None

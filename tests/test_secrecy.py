@@ -1,0 +1,68 @@
+"""What universal lenses and their sources give away."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from magiclens.artifacts import Assignment, Lens, Scene, View
+from magiclens.images.art import ART
+from magiclens.matching.strength import injective_maps_bits
+from magiclens.secrecy import secrecy, tile_likeness
+
+RNG = np.random.default_rng(0)
+
+
+def test_without_limits_the_maps_are_counted_exactly() -> None:
+    """Five facets, eight places within everyone's reach, two signs each: 8! / 3! * 2^5 ways."""
+    places, usable = np.tile(np.arange(8), (5, 1)), np.ones((5, 8, 2), bool)
+    assert injective_maps_bits(places, usable, RNG) == pytest.approx(math.log2(8 * 7 * 6 * 5 * 4 * 2**5))
+
+
+def test_within_limits_the_estimate_is_near_the_count() -> None:
+    """A ring: each of 8 facets reaches its own place and the next; only two permutations stay within that."""
+    places = np.stack([np.arange(8), (np.arange(8) + 1) % 8], axis=1)
+    bits = injective_maps_bits(places, np.ones((8, 2, 1), bool), RNG, rounds=4000)
+    assert bits == pytest.approx(1.0, abs=0.15)
+
+
+def test_no_way_is_minus_infinity() -> None:
+    assert injective_maps_bits(np.zeros((2, 1), int), np.ones((2, 1, 1), bool), RNG) == -math.inf
+
+
+def lens_and_view(offset: float) -> tuple[Lens, Assignment, View]:
+    """A lens that shows its own target, moved aside, as it lies below."""
+    lens, n = Lens(size_mm=20, source_size_mm=20, facets=4), 4
+    target = ART["panda"](320)
+    view = View("v", np.roll(target, round(offset * 16), axis=1), target, np.array([0.0, 0.0, 340.0]))
+    maps = np.broadcast_to(np.array([1.0, 0.0, 1.0]), (n, n, 3)).copy()
+    offsets = np.broadcast_to(np.array([offset, 0.0]), (n, n, 2)).copy()
+    return lens, Assignment(np.zeros((n, n), np.int64), offsets, maps, np.zeros((n, n))), view
+
+
+def test_patches_that_show_their_tiles_are_fully_readable() -> None:
+    lens, assignment, view = lens_and_view(1.0)
+    inner = tile_likeness(lens, assignment, view)[:, :3]
+    assert inner.min() > 0.97
+    assert tile_likeness(lens, assignment, view, shift=1).mean() < 0.9
+
+
+def test_mirrored_patches_are_read_mirrored() -> None:
+    lens, assignment, view = lens_and_view(0.0)
+    maps = assignment.maps * (-1, 1, 1)
+    flipped = view.target.reshape(320, 4, 80, 1)[:, :, ::-1].reshape(320, 320, 1)
+    other = View("v", flipped, view.target, view.eye_mm)
+    mirrored = Assignment(assignment.choice, assignment.offsets_mm, maps, assignment.errors)
+    assert tile_likeness(lens, mirrored, other).min() > 0.97
+    assert tile_likeness(lens, assignment, other).min() < 0.9
+
+
+def test_a_source_unlike_its_target_has_a_low_score() -> None:
+    lens, assignment, view = lens_and_view(1.0)
+    noise = View("v", RNG.random((320, 320, 1)).astype(np.float32), view.target, view.eye_mm)
+    near, far = (secrecy(Scene(lens, (v,)), assignment).metrics for v in (view, noise))
+    assert near["stealth_ssim"] > far["stealth_ssim"] + 0.2
+    assert near["tile_leakage"] > 0.95
+    assert far["tile_leakage"] == pytest.approx(far["tile_leakage_by_chance"], abs=0.1)
