@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from magiclens.artifacts import Assignment, Candidates, FloatArray, HeightField, Scene, Solid
+from magiclens.artifacts import Assignment, Candidates, FloatArray, HeightField, Scene, Solid, Transport
 from magiclens.checks import (
     BadArtifact,
     check_assignment,
@@ -145,10 +145,11 @@ def _make(plan: Plan, folder: Path, worker: _Worker) -> RunData:
     rng = _generators(plan.spec.seed)
     for _ in range(plan.spec.pipeline.codesign):
         *_, solid = _design(plan, scene, rng, worker)
-        scene = _encode(plan, given, solid, rng, worker)
+        scene = _encode(plan, given, _matrices(plan, given, solid, worker), rng, worker)
     candidates, assignment, height_field, rough = _design(plan, scene, rng, worker)
     solid = worker.stage(plan.finisher, lambda p: plan.finisher.stage.finish(given, rough, p), check_solid)
-    scene = _encode(plan, given, solid, rng, worker)
+    matrices = _matrices(plan, given, solid, worker)
+    scene = _encode(plan, given, matrices, rng, worker)
     _write_pictures(scene, folder)
     save_heights(solid, plan.lens, folder)
     for exporter in plan.exporters:
@@ -166,9 +167,11 @@ def _make(plan: Plan, folder: Path, worker: _Worker) -> RunData:
         metrics |= zone.metrics
     hidden = None
     if plan.encoder:
+        from magiclens.encoding.leaks import leaks
         from magiclens.secrecy import secrecy
 
         hidden = worker.part("secrecy", partial(secrecy, scene, assignment))
+        metrics |= worker.part("leaks", partial(leaks, matrices, plan.lens.facets, given.reserved))
         metrics |= _changes(given, scene) | hidden.metrics
         _write_sources(given, folder, "given")
     facts = manifest(plan, inputs, scene, metrics, _scores(scene, renders))
@@ -184,12 +187,19 @@ def _design(
     from magiclens.meshing.solid import solid_from_heights
 
     matcher = plan.matcher.stage
+    scene = scene if matcher.looks else _blank(scene)
     check = partial(check_candidates, plan.lens)
     candidates = worker.stage(plan.matcher, lambda p: matcher.match(scene, rng["matcher"], p), check)
     best = (candidates, *_shape(plan, scene, candidates, rng["annealer"], worker))
     if plan.spec.pipeline.rematch:
         best = _rematched(plan, scene, best, rng, worker)
     return *best, worker.part("meshing", partial(solid_from_heights, best[2]))
+
+
+def _blank(scene: Scene) -> Scene:
+    """The scene without its pictures, so that the lens does not depend on them: whatever light is lost counts."""
+    white, black = np.ones((1, 1, 1), np.float32), np.zeros((1, 1, 1), np.float32)
+    return replace(scene, views=tuple(replace(view, source=white, target=black) for view in scene.views))
 
 
 def _rematched(
@@ -211,14 +221,20 @@ def _rematched(
     return best
 
 
-def _encode(plan: Plan, given: Scene, solid: Solid, rng: Generators, worker: _Worker) -> Scene:
-    """The scene with its sources edited for a solid, always starting from those that were given."""
+def _matrices(plan: Plan, given: Scene, solid: Solid, worker: _Worker) -> list[Transport]:
+    """What an encoder needs to know of a solid; nothing if there is no encoder."""
     if plan.encoder is None:
-        return given
+        return []
     from magiclens.traced import transports
 
+    return worker.part("tracing", partial(transports, given, solid))
+
+
+def _encode(plan: Plan, given: Scene, matrices: list[Transport], rng: Generators, worker: _Worker) -> Scene:
+    """The scene with its sources edited for a traced solid, always starting from those that were given."""
+    if plan.encoder is None:
+        return given
     step, encoder = plan.encoder, plan.encoder.stage
-    matrices = worker.part("tracing", partial(transports, given, solid))
     check = partial(check_encoded, given)
     encoded: Scene = worker.stage(step, lambda p: encoder.encode(given, matrices, rng["encoder"], p), check)
     return encoded
@@ -257,7 +273,7 @@ def _zone(plan: Plan, given: Scene, scene: Scene, solid: Solid, worker: _Worker)
         return None
     rng, aside, first = _generators(plan.spec.seed), _Aside(plan, Observer()), replace(given, views=given.views[:1])
     *_, plain = worker.part("plain lens", partial(_design, plan, first, rng, aside), plan.lens.facets**2)
-    plain_scene = _encode(plan, first, plain, rng, aside)
+    plain_scene = _encode(plan, first, _matrices(plan, first, plain, aside), rng, aside)
     return worker.part("stable zone", partial(measure, scene, solid, plain_scene, plain))
 
 

@@ -37,9 +37,13 @@ class Stage(BaseModel, ABC):
 
 
 class Matcher(Stage):
-    """Finds, for every facet, source patches that look like its tile of the target (4.2)."""
+    """Finds, for every facet, source patches that look like its tile of the target (4.2).
+
+    ``looks`` says whether at the pictures; if not, no stage that shapes the lens is shown any (5).
+    """
 
     kind: ClassVar[str] = "matcher"
+    looks: ClassVar[bool] = True
 
     @abstractmethod
     def match(self, scene: Scene, rng: np.random.Generator, progress: Progress = silent) -> Candidates:

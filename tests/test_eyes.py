@@ -173,6 +173,22 @@ def test_the_prediction_for_other_eyes_is_the_traced_picture(turns: int) -> None
         assert np.quantile(astray_lying, 0.9) > 0.08
 
 
+def test_a_lens_that_stands_higher_is_predicted_where_a_tilted_eye_sees_its_facets() -> None:
+    """All of them are displaced in its picture, by a sixth of their width: a strip of each place shows a neighbour."""
+    lens, rng = small_lens(3, 3.0, source=60.0, microfacets=48, floor_mm=56.0, bleed_mm=1.5), np.random.default_rng(0)
+    views = tuple(View("v", ramps(), ramps(), np.array([x, 0.0, 440.0])) for x in (90.0, -90.0))
+    scene = Scene(lens, views)
+    chosen = assigned(rng.uniform(-1.5, 1.5, (3, 3, 2)), np.array([0.5, 0.1, -0.4]))
+    field = lens_at(scene, chosen, np.full((3, 3), 2.2))
+    traced = Tracer(resolution=96, samples=2).render(scene, solid_from_heights(field))
+    predicted = predict(scene, chosen, 96, 2, field.levels_mm)
+    for ours, real in zip(predicted, traced, strict=True):
+        lit = real[..., 2] > 0.8
+        astray = np.linalg.norm(ours[lit, :2] / ours[lit, 2:] - real[lit, :2] / real[lit, 2:], axis=-1) * 60.0
+        assert lit.mean() > 0.95
+        assert np.quantile(astray, 0.9) < 0.08
+
+
 def test_walls_of_a_scene_whose_views_share_one_eye_are_those_of_that_eye() -> None:
     rng, lens = np.random.default_rng(0), small_lens(3)
     offsets, maps = rng.uniform(-2, 2, (3, 3, 4, 2)), rng.uniform(-1, 1, (3, 3, 4, 3))

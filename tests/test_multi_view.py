@@ -75,6 +75,14 @@ def test_facets_that_stand_high_or_low_are_matched_where_they_are_seen() -> None
     np.testing.assert_array_equal(there.heights_mm, heights)
 
 
+def test_the_search_itself_looks_where_facets_are_seen() -> None:
+    """So displaced that polishing could not make up for it."""
+    heights = np.random.default_rng(5).uniform(-2, 2, (3, 3))
+    scene, cut = planted(heights=heights)
+    found = matched(scene, heights, OPTIONS.model_copy(update={"polish": 0}))
+    np.testing.assert_allclose(found.offsets_mm[:, :, 0], cut.offsets_mm, atol=0.3)
+
+
 def test_rematching_finds_the_patches_of_facets_that_have_come_to_stand_high_or_low() -> None:
     heights = np.random.default_rng(5).uniform(-1, 1, (3, 3))
     scene, cut = planted(heights=heights)

@@ -11,7 +11,7 @@ from pydantic import Field
 from magiclens.artifacts import Scene, Transport
 from magiclens.scenarios.camouflage import Camouflage
 from magiclens.stages import Encoder, Progress, silent
-from magiclens.units import Fraction
+from magiclens.units import Fraction, Length
 
 
 class LeastSquares(Encoder):
@@ -24,13 +24,17 @@ class LeastSquares(Encoder):
     type: ClassVar[str] = "least-squares"
 
     change: Fraction = Field(
-        "100%", validate_default=True, ge=0, le=1, description="farthest a display value may move from the given source"
+        "100%", validate_default=True, gt=0, le=1, description="farthest a display value may move from the given source"
     )
     exposure: float | None = Field(
         None, gt=0, le=1, description="brightness of the picture; by default what most facets let through"
     )
     pull: float = Field(1e-4, ge=0, description="how strongly pixels that hardly matter stay as they were given")
     iterations: int = Field(40, ge=1, description="steps of the solver")
+    bleed: Length = Field(
+        "0mm", validate_default=True, ge=0,
+        description="how far painted pixels spread over unseen ones, lest a small shift of the lens uncovers these",
+    )  # fmt: skip
     camouflage: Camouflage = Field(
         {"type": "none"}, validate_default=True, description="what covers pixels that no facet sees (5.2)"
     )

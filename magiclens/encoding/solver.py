@@ -26,21 +26,24 @@ MOST_PASS = 0.25
 class Matrix:
     """The stacked matrices of views that share a source, on the columns of pixels that may be painted.
 
-    columns: (n,) int64 of these pixels. fixed: the rows' picture of all others is ``fixed @ source``.
+    columns: (n,) int64 of these pixels. rim, inside: (r,) int64 paintable pixels that no ray sees, but within
+    ``bleed_px`` of painted ones, and the nearest of these. free: (S,) pixels that nobody needs.
     """
 
-    def __init__(self, transports: Sequence[Transport], paintable: BoolArray | None):
+    def __init__(self, transports: Sequence[Transport], paintable: BoolArray | None, bleed_px: float):
         whole = transports[0].matrix if len(transports) == 1 else vstack([t.matrix for t in transports], format="csr")
         seen = np.zeros(whole.shape[1], bool)
         seen[whole.indices] = True
-        self.seen: BoolArray = seen
         self.columns: IntArray = np.flatnonzero(seen if paintable is None else seen & paintable)
-        kept = np.zeros(whole.shape[1], bool)
-        kept[self.columns] = True
-        self.fixed = None if kept[seen].all() else _columns(whole, np.flatnonzero(seen & ~kept))
+        painted = np.zeros(whole.shape[1], bool)
+        painted[self.columns] = True
+        self._kept = np.flatnonzero(seen & ~painted)
+        self._fixed = _columns(whole, self._kept) if len(self._kept) else None
         self._forward = _columns(whole, self.columns)
         self._back = csr_array(self._forward.T)
-        self._fixed_columns = np.flatnonzero(seen & ~kept)
+        self.rim, self.inside = _rim(painted.reshape(transports[0].source_shape), paintable, bleed_px)
+        self.free: BoolArray = ~seen if paintable is None else ~seen & paintable
+        self.free[self.rim] = False
 
     def see(self, values: FloatArray) -> FloatArray:
         """(rows, C) picture of the paintable pixels (n, C)."""
@@ -52,7 +55,7 @@ class Matrix:
 
     def unchangeable(self, source: FloatArray) -> FloatArray | float:
         """(rows, C) picture of the pixels of a source (S, C) that may not be painted."""
-        return 0.0 if self.fixed is None else _product(self.fixed, source[self._fixed_columns])
+        return 0.0 if self._fixed is None else _product(self._fixed, source[self._kept])
 
 
 def encode(
@@ -67,7 +70,9 @@ def encode(
         views, seen_by = [scene.views[k] for k in group], [transports[k] for k in group]
         same = tuple(map(id, seen_by))  # frames of an animation share one
         if same not in matrices:
-            matrices[same] = Matrix(seen_by, None if scene.reserved is None else ~scene.reserved.ravel())
+            paintable = None if scene.reserved is None else ~scene.reserved.ravel()
+            bleed_px = options.bleed / scene.lens.source_size_mm * len(views[0].source)
+            matrices[same] = Matrix(seen_by, paintable, bleed_px)
         painted[name] = _paint(options, views, matrices[same], seen_by[0].shape, scene, rng)
         progress((done + 1) / len(names))
     return replace(scene, views=tuple(replace(view, source=painted[view.source_name]) for view in scene.views))
@@ -78,14 +83,16 @@ def _paint(
     rng: np.random.Generator,
 ) -> FloatArray:  # fmt: skip
     """One source (H, W, C) for its views, whose pictures have this shape."""
-    given, reserved = views[0].source, scene.reserved
+    given = views[0].source
     targets = np.concatenate([resize(view.target, shape).reshape(-1, given.shape[-1]) for view in views])
     flat = given.reshape(-1, given.shape[-1])
     out = flat.copy()
     out[matrix.columns] = _rounded(_solve(options, matrix, targets, flat))
-    known = matrix.seen.reshape(given.shape[:2])
-    known = known if reserved is None else known | reserved
-    return options.camouflage.cover(out.reshape(given.shape), known, scene.lens.source_size_mm, rng)
+    out[matrix.rim] = out[matrix.inside]
+    covered = options.camouflage.cover(
+        out.reshape(given.shape), ~matrix.free.reshape(given.shape[:2]), scene.lens.source_size_mm, rng
+    )
+    return covered if options.change == 1 else np.clip(covered, *bounds(given, options.change))
 
 
 def _solve(options: LeastSquares, matrix: Matrix, targets: FloatArray, given: FloatArray) -> FloatArray:
@@ -115,6 +122,19 @@ def _solve(options: LeastSquares, matrix: Matrix, targets: FloatArray, given: Fl
     return x
 
 
+def _rim(painted: BoolArray, paintable: BoolArray | None, bleed_px: float) -> tuple[IntArray, IntArray]:
+    """Pixels near ``painted`` ones (H, W), and for each the nearest of these, as indices of the flat source."""
+    if bleed_px <= 0 or not painted.any():
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    from scipy.ndimage import distance_transform_edt
+
+    away, nearest = distance_transform_edt(~painted, return_indices=True)
+    near = (away > 0) & (away <= bleed_px)
+    if paintable is not None:
+        near &= paintable.reshape(painted.shape)
+    return np.flatnonzero(near), np.ravel_multi_index(tuple(nearest[:, near]), painted.shape)
+
+
 def bounds(given: FloatArray, change: float) -> tuple[FloatArray, FloatArray]:
     """Least and largest linear light of pixels whose display values may move by ``change``."""
     display = to_display(given)
@@ -126,7 +146,7 @@ def exposure(wanted: float | None, through: FloatArray) -> float:
     if wanted is not None:
         return wanted
     lit = through[:, 0][through[:, 0] > 0]
-    return float(min(np.quantile(lit, MOST_PASS), 1.0)) if len(lit) else 1.0
+    return min(float(np.quantile(lit, MOST_PASS)), 1.0) if len(lit) else 1.0
 
 
 def _steepness(linear: FloatArray) -> FloatArray:

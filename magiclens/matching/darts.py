@@ -8,16 +8,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit, prange
 
 from magiclens.artifacts import BoolArray, Candidates, FloatArray, IntArray, Lens, Scene
 from magiclens.errors import InputError
 from magiclens.facets import edge_models
 from magiclens.matching.driver import flat_scale, optics
-from magiclens.matching.search import reachable
-from magiclens.matching.strength import injective_maps_bits
+from magiclens.matching.realisable import realisable
 from magiclens.matching.shuffling import shuffle
-from magiclens.optics.refraction import facet_normal
+from magiclens.matching.strength import injective_maps_bits
 
 if TYPE_CHECKING:
     from magiclens.matching.dart_throwing import DartThrowing
@@ -25,7 +23,6 @@ if TYPE_CHECKING:
 SIGNS = np.array([(1, 1), (-1, 1), (1, -1), (-1, -1)], np.float64)
 """The four ways in which a facet can show its sub-region: as it is, or mirrored."""
 
-HEIGHT_ROUNDS = 4
 HAND = 16
 """Neighbouring sub-regions that a facet considers when it draws again."""
 TEMPERATURE = 1e-4
@@ -76,7 +73,7 @@ class Reach:
         along = (numbers + 0.5 - q / 2) * lattice.side
         offsets = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
         places = regions(lattice, lens.facets, q, numbers)
-        usable = _usable(
+        usable = realisable(
             lens.facet_centres_mm().reshape(-1, 2) * (1, -1), offsets, maps, lens.pitch_mm,
             *optics(scene), lens.cells == "vertical", lens.relief_mm,
         )  # fmt: skip
@@ -97,9 +94,12 @@ class Reach:
 
 def match(options: DartThrowing, scene: Scene, rng: np.random.Generator) -> Candidates:
     """See ``DartThrowing.match``."""
+    eyes = np.array([view.in_lens_frame().eye_mm for view in scene.views])
+    if not np.allclose(eyes, eyes[0]):
+        raise InputError("a universal lens needs views that share one eye in the lens frame")
     n, lattice = scene.lens.facets, Lattice.of(scene.lens, options.subdivisions)
     reach = Reach.of(options, scene, lattice)
-    drawn = draw(reach.places, reach.usable.any(axis=-1), lattice.count**2, rng)
+    drawn = draw(reach.places, np.any(reach.usable, axis=-1), lattice.count**2, rng)
     if options.sweeps:
         drawn = redraw(reach, drawn, scene, lattice.count**2, options.sweeps, rng)
     offsets, maps, usable = reach.labels(drawn[:, None])
@@ -128,14 +128,14 @@ def shrunk_scale(side: float, guard: float, scene: Scene) -> float:
 
 
 def neighbours(side: float, subdivisions: int, reach: float) -> IntArray:
-    """(D,) numbers, from a facet's own first sub-region on, of those along an axis whose centres are within reach, mm."""
+    """(D,) numbers, counted from a facet's own first, of sub-regions along an axis with centres within reach, mm."""
     centre = (subdivisions - 1) / 2
     far = reach / side + 1e-9
     return np.arange(math.ceil(centre - far), math.floor(centre + far) + 1)
 
 
 def regions(lattice: Lattice, facets: int, subdivisions: int, numbers: IntArray) -> IntArray:
-    """(F, D^2) index of each facet's neighbouring sub-regions in the lattice, row by row; count^2 outside the source."""
+    """(F, D^2) index in the lattice of each facet's neighbours, row by row; count^2 for those outside the source."""
     line = np.arange(facets)[:, None] * subdivisions + numbers - lattice.first
     inside = (line >= 0) & (line < lattice.count)
     index = line[:, None, :, None] * lattice.count + line[None, :, None, :]
@@ -201,14 +201,12 @@ def _displace(
                 place = given_up
     n = math.isqrt(len(places))
     raise InputError(
-        f"facet (row {facet // n}, column {facet % n}) gets no sub-region of its own, there are too few that it and its "
-        "neighbours can look at: use a larger reach, more subdivisions, a smaller mask, a larger max_slope or relief"
+        f"facet (row {facet // n}, column {facet % n}) gets no sub-region of its own, as it and its neighbours can "
+        "look at too few: use a larger reach, more subdivisions, a smaller mask, a larger max_slope or relief"
     )
 
 
-def redraw(
-    reach: Reach, drawn: IntArray, scene: Scene, count: int, sweeps: int, rng: np.random.Generator
-) -> IntArray:
+def redraw(reach: Reach, drawn: IntArray, scene: Scene, count: int, sweeps: int, rng: np.random.Generator) -> IntArray:
     """A draw (F,) as injective as the one given, of which walls take hardly any light.
 
     Every facet has a hand of random neighbours and turns to those that are free, by heat bath.
@@ -217,8 +215,9 @@ def redraw(
     luck = np.where(reach.usable.any(axis=-1), rng.random(reach.places.shape), 2.0)
     luck[np.arange(n * n), drawn] = -1.0
     hand = np.argsort(luck, axis=1, kind="stable")[:, :HAND]
-    offsets, maps, usable = (part.reshape(n, n, -1, *part.shape[2:]) for part in reach.labels(hand))
-    profiles, drifts = edge_models(scene, offsets, maps)
+    offsets, maps, usable = reach.labels(hand)
+    usable = usable.reshape(n, n, -1)
+    profiles, drifts = edge_models(scene, offsets.reshape(n, n, -1, 2), maps.reshape(n, n, -1, 3))
     places = np.repeat(np.take_along_axis(reach.places, hand, 1), 4, axis=1).reshape(n, n, -1)
     chosen = usable.argmax(axis=-1)
     owner = np.full(count + 1, -1)
@@ -229,52 +228,3 @@ def redraw(
         TEMPERATURE, 1 / scene.lens.pitch_mm, STEP_WEIGHT, scene.lens.relief_mm,
     )  # fmt: skip
     return np.take_along_axis(hand, chosen.reshape(-1, 1) // 4, 1)[:, 0]
-
-
-@njit(cache=True, parallel=True)
-def _usable(centres, offsets, maps, pitch, eye, depth, gap, ior, cos_limit, vertical, relief):
-    """(F, D^2, 4): can a facet show its neighbouring sub-regions with each map, below the slope limit and the relief?
-
-    centres: (F, 2), offsets: (D^2, 2), maps: (4, 2) xx and yy; mm, image frame (y down).
-    """
-    out = np.zeros((len(centres), len(offsets), 4), np.bool_)
-    for f in prange(len(centres)):
-        cx, cy = centres[f, 0], centres[f, 1]
-        for k in range(len(offsets)):
-            rx, ry = offsets[k, 0], offsets[k, 1]
-            for s in range(4):
-                out[f, k, s] = reachable(
-                    cx, cy, rx, ry, maps[s, 0], 0.0, maps[s, 1], 0.5 * pitch, eye, depth, gap, ior, cos_limit
-                ) and relief >= _tallest(
-                    cx, cy, rx, ry, maps[s, 0], maps[s, 1], 0.5 * pitch, eye, depth, gap, ior, vertical
-                )
-    return out
-
-
-@njit(cache=True)
-def _tallest(cx, cy, rx, ry, xx, yy, half, eye, depth, gap, ior, vertical):
-    """How far the corners of a lenslet rise or fall from its mean, mm; its slope is taken to be linear to the corners.
-
-    Where the surface lies lower, it must be steeper: the heights at which slopes are taken are iterated.
-    """
-    far = eye[2] - depth
-    slopes, rises = np.zeros((5, 2)), np.zeros(5)
-    for _ in range(HEIGHT_ROUNDS):
-        for k in range(5):
-            px = 0.0 if k == 4 else (half if k & 1 else -half)
-            py = 0.0 if k == 4 else (half if k & 2 else -half)
-            x, y, z = cx + px, cy + py, depth + rises[k]
-            lean_x, lean_y = (0.0, 0.0) if vertical else ((x - eye[0]) / far, (y - eye[1]) / far)
-            sx, sy = x + rx + (xx - 1.0) * px, y + ry + (yy - 1.0) * py
-            nx, ny, nz = facet_normal(
-                eye[0], eye[1], eye[2], x - lean_x * rises[k], y - lean_y * rises[k], z, sx, sy, gap, ior
-            )
-            along = nx * lean_x + ny * lean_y - nz
-            slopes[k, 0], slopes[k, 1] = nx / along, ny / along
-        for k in range(4):
-            px, py = half if k & 1 else -half, half if k & 2 else -half
-            rises[k] = 0.5 * ((slopes[4, 0] + slopes[k, 0]) * px + (slopes[4, 1] + slopes[k, 1]) * py)
-        # the mean of a quadratic over the square is a third of its mean over the corners
-        rises[4] = 0.0
-        rises -= rises[:4].mean() / 3.0
-    return np.abs(rises).max()

@@ -24,9 +24,12 @@ class Tracer(Renderer):
         from magiclens.rendering.trace import picture, trace
 
         out = []
+        made: dict[tuple[float, ...], FloatArray] = {}
         for done, view in enumerate(scene.views):
-            hits = trace(solid, scene.lens, view, self.resolution, self.samples)
-            seen = picture(hits, view.in_lens_frame().source, scene.lens.source_size_mm)
+            eye = tuple(view.in_lens_frame().eye_mm.tolist())
+            if eye not in made:  # frames of an animation share one
+                made[eye] = trace(solid, scene.lens, view, self.resolution, self.samples)
+            seen = picture(made[eye], view.in_lens_frame().source, scene.lens.source_size_mm)
             out.append(np.ascontiguousarray(np.rot90(seen, view.quarter_turns)))
             progress((done + 1) / len(scene.views))
         return out

@@ -120,7 +120,11 @@ def universal(subdivisions: int, camouflage: Camouflage) -> dict[str, Choice]:
         "matcher": {"type": "dart-throwing", "subdivisions": subdivisions},
         "annealer": {"type": "heat-bath", "step_weight": STEP_WEIGHT},
         "integrator": {"type": "poisson", "step_weight": STEP_WEIGHT},
-        "encoder": {"type": "least-squares", "camouflage": camouflage.model_dump(mode="json", exclude_none=True)},
+        "encoder": {
+            "type": "least-squares",
+            "bleed": "0.2mm",
+            "camouflage": camouflage.model_dump(mode="json", exclude_none=True),
+        },
     }
 
 
@@ -130,7 +134,7 @@ def masked(path: Path, side: int) -> BoolArray:
 
     dark: BoolArray = to_display(luminance(square(read_image(path)))) < 0.5
     nearest = ((np.arange(side) + 0.5) * len(dark) / side).astype(int)
-    return dark[nearest[:, None], nearest]
+    return np.asarray(dark[nearest[:, None], nearest])
 
 
 @lru_cache(maxsize=2)
