@@ -141,7 +141,7 @@ def test_a_stage_without_its_method_is_refused() -> None:
     ("hook", "contribution", "reason"),
     [
         ("mlens_scenarios", [SimpleNamespace], "SimpleNamespace.type is not text"),
-        ("mlens_scenarios", [ToyMatcher], "ToyMatcher lacks shots, fit, views"),
+        ("mlens_scenarios", [ToyMatcher], "ToyMatcher lacks shots, fit, compiled"),
         ("mlens_art", {"face": "not callable"}, "'face' is not the name of a function"),
         ("mlens_art", ["face"], "AttributeError"),
     ],
@@ -190,7 +190,7 @@ def test_a_scenario_that_fails_is_named(registry: Registry, write_spec: SpecWrit
     class Faulty(Rotating):
         type: ClassVar[str] = "faulty"
 
-        def views(self, *_: Any) -> Any:
+        def compiled(self, *_: Any) -> Any:
             raise RuntimeError("no view")
 
     scenarios = hookimpl(lambda: [Faulty], specname="mlens_scenarios")
