@@ -74,7 +74,7 @@ WRONG: dict[str, tuple[tuple[str, str], str]] = {
         ("type: rotating", "type: rotation"),
         "2: scenario.type: unknown scenario 'rotation'; did you mean 'rotating'?",
     ),
-    "no scenario type": (("  type: rotating\n", ""), "1: scenario.type: this key is required; choose one of: multi-pair"),
+    "no scenario type": (("  type: rotating\n", ""), "1: scenario.type: this key is required; choose one of: "),
     "no targets": (
         ("  targets: [{art: panda}, {art: bat}]\n", ""),
         "1: scenario.targets: this key is required",

@@ -21,6 +21,8 @@ from magiclens.images.inpaint import BoolArray, halved
 
 IntArray = NDArray[np.signedinteger]
 
+FINE_PX = 1024
+"""Pictures from here on are matched at half the resolution."""
 LEAST_EXAMPLE_PX = 16
 COARSE_TILE_PX = 12
 """Tiles are laid at the coarsest size, halving, at which they still have this many pixels per side."""
@@ -52,10 +54,27 @@ def synthesize(
         raise InputError(f"the example of a texture is {columns} x {rows} pixels; it needs at least {least}")
     if fixed.shape != (*known.shape, channels):
         raise ValueError(f"the picture has shape {fixed.shape}, not {(*known.shape, channels)}")
-    tile = min(patch_px, rows // 2, columns // 2, *known.shape)
-    places = _places(example, np.where(known[..., None], fixed, 0), known, rng, tile)
+    even = known.shape[0] % 2 == known.shape[1] % 2 == 0
+    if even and min(known.shape) >= FINE_PX and min(rows, columns) >= 8 * LEAST_EXAMPLE_PX:
+        places = _fine_places(example[: rows // 2 * 2, : columns // 2 * 2], fixed, known, rng, patch_px // 2)
+    else:
+        tile = min(patch_px, rows // 2, columns // 2, *known.shape)
+        places = _places(example, np.where(known[..., None], fixed, 0), known, rng, tile)
     copied = example[places[..., 0], places[..., 1]]
     return np.where(known[..., None], fixed, copied).astype(np.float32)
+
+
+def _fine_places(
+    example: FloatArray, fixed: FloatArray, known: BoolArray, rng: np.random.Generator, tile: int
+) -> IntArray:
+    """As of ``_places``, found at half the resolution: blocks of 2 x 2 pixels are copied whole, four times as fast."""
+    small, whole = halved(example), halved(known[..., None].astype(np.float32))[..., 0] == 1
+    around = halved(np.where(known[..., None], fixed, 0).astype(np.float32))
+    coarse = _places(small, np.where(whole[..., None], around, 0), whole, rng, max(tile, 4))
+    places = 2 * coarse.repeat(2, axis=0).repeat(2, axis=1)
+    places[1::2, :, 0] += 1
+    places[:, 1::2, 1] += 1
+    return places
 
 
 def _places(example: FloatArray, fixed: FloatArray, known: BoolArray, rng: np.random.Generator, tile: int) -> IntArray:
