@@ -1,0 +1,125 @@
+"""Sources painted by least squares: what can be reached is reached, what must stay stays."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_array, eye_array
+
+from magiclens.artifacts import BoolArray, FloatArray, Scene, Transport, View
+from magiclens.encoding.leaks import leaks
+from magiclens.encoding.least_squares import LeastSquares
+from magiclens.images import to_display
+from test_darts import LENS
+
+RNG = np.random.default_rng(0)
+SIDE = 24
+
+
+def shuffled(seed: int = 0) -> Transport:
+    """Every pixel of the picture draws from a source pixel of its own and a little from the next; half stay unseen."""
+    rng = np.random.default_rng(seed)
+    rows = SIDE * SIDE
+    order = rng.permutation(4 * rows)[:rows]
+    matrix = csr_array((np.full(rows, 0.8, np.float32), (np.arange(rows), order)), (rows, 4 * rows))
+    mixed = csr_array(0.9 * eye_array(rows, dtype=np.float32) + 0.1 * eye_array(rows, k=1, dtype=np.float32))
+    return Transport(csr_array(mixed @ matrix), (SIDE, SIDE), (2 * SIDE, 2 * SIDE))
+
+
+def scene(targets: list[FloatArray], names: list[str], reserved: BoolArray | None = None) -> Scene:
+    given = RNG.random((2 * SIDE, 2 * SIDE, targets[0].shape[-1])).astype(np.float32)
+    views = [
+        View(f"v{k}", given, target, np.array([0.0, 0.0, 440.0]), 0.0, name, f"t{k}")
+        for k, (target, name) in enumerate(zip(targets, names, strict=True))
+    ]
+    return Scene(LENS, tuple(views), reserved)
+
+
+def picture(channels: int = 1) -> FloatArray:
+    return RNG.random((SIDE, SIDE, channels)).astype(np.float32)
+
+
+def encoded(given: Scene, transports: list[Transport], **options: object) -> Scene:
+    return LeastSquares.model_validate(options).encode(given, transports, np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_what_can_be_shown_is_shown(channels: int) -> None:
+    transport = shuffled()
+    target = transport.see(RNG.random((2 * SIDE, 2 * SIDE, channels)).astype(np.float32)) / 0.85
+    (view,) = encoded(scene([target], ["a"]), [transport], iterations=200, exposure=0.85).views
+    seen = transport.see(view.source) / 0.85
+    assert abs(to_display(seen) - to_display(target)).max() < 0.02
+    assert view.source.shape == (2 * SIDE, 2 * SIDE, channels)
+
+
+def test_views_that_share_a_source_are_solved_together() -> None:
+    """Two views draw from different pixels of one source: both are shown."""
+    first, targets = shuffled(), [picture(), picture()]
+    matrix = first.matrix[:, np.random.default_rng(1).permutation(first.matrix.shape[1])]
+    clash = set(first.matrix.indices) & set(matrix.indices)
+    kept = csr_array(matrix)
+    kept.data[np.isin(kept.indices, list(clash))] = 0.0
+    second = replace(first, matrix=kept)
+    out = encoded(scene(targets, ["a", "a"]), [first, second], iterations=200, exposure=0.7)
+    assert out.views[0].source is out.views[1].source
+    lit = kept.sum(axis=1).reshape(SIDE, SIDE) > 0.55
+    for transport, view, rows in zip((first, second), out.views, (np.ones_like(lit), lit), strict=True):
+        seen, wanted = to_display(transport.see(view.source) / 0.7), to_display(view.target)
+        assert abs(seen - wanted)[rows].mean() < 0.02
+
+
+def test_frames_have_sources_of_their_own_and_unseen_pixels_keep_what_was_given() -> None:
+    transport, given = shuffled(), scene([picture(), picture()], ["a", "b"])
+    out = encoded(given, [transport, transport])
+    seen = np.zeros(4 * SIDE * SIDE, bool)
+    seen[transport.matrix.indices] = True
+    a, b = (view.source.ravel() for view in out.views)
+    assert (a[seen] != b[seen]).any()
+    np.testing.assert_array_equal(a[~seen], given.views[0].source.ravel()[~seen])
+
+
+def test_reserved_pixels_stay_bit_for_bit_and_are_reckoned_with() -> None:
+    reserved = np.zeros((2 * SIDE, 2 * SIDE), bool)
+    reserved[: SIDE // 2] = True
+    transport, given = shuffled(), scene([picture()], ["a"], reserved)
+    (view,) = encoded(given, [transport], camouflage={"type": "noise"}, bleed="2mm").views
+    np.testing.assert_array_equal(view.source[reserved], given.views[0].source[reserved])
+    assert (view.source != given.views[0].source)[~reserved].mean() > 0.9
+
+
+def test_no_pixel_changes_by_more_than_allowed() -> None:
+    given = scene([picture()], ["a"])
+    (view,) = encoded(given, [shuffled()], change="10%", camouflage={"type": "flat"}).views
+    change = abs(to_display(view.source) - to_display(given.views[0].source))
+    assert change.max() <= 0.1 + 1 / 255
+    assert change.max() > 0.09
+
+
+def test_camouflage_covers_what_is_not_seen_and_nothing_else() -> None:
+    transport, given = shuffled(), scene([picture()], ["a"])
+    bare, covered = (encoded(given, [transport], **o).views[0] for o in ({}, {"camouflage": {"type": "flat"}}))
+    seen = np.zeros(4 * SIDE * SIDE, bool)
+    seen[transport.matrix.indices] = True
+    np.testing.assert_array_equal(covered.source.ravel()[seen], bare.source.ravel()[seen])
+    assert (covered.source.ravel()[~seen] == 1).all()
+
+
+def test_equal_inputs_give_equal_sources() -> None:
+    transport, given = shuffled(), scene([picture()], ["a"])
+    one, two = (encoded(given, [transport], camouflage={"type": "noise"}).views[0].source for _ in range(2))
+    np.testing.assert_array_equal(one, two)
+
+
+def test_leaks_are_counted() -> None:
+    """Four facets of one pixel each; the second also draws a tenth of what the first draws."""
+    matrix = csr_array(np.array([[1, 0, 0, 0], [0.1, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], np.float32))
+    transport = Transport(matrix, (2, 2), (2, 2))
+    found = leaks([transport], 2, np.array([[False, False], [False, True]]))
+    assert found["overlap_max"] == 2
+    assert found["leak"] == pytest.approx(0.1 / 4.1, rel=1e-5)
+    assert found["leak_from_reserved"] == pytest.approx(1 / 4.1, rel=1e-5)
+    clean = Transport(csr_array(np.eye(4, dtype=np.float32)), (2, 2), (2, 2))
+    assert leaks([clean], 2) == {"overlap_max": 1.0, "leak": pytest.approx(0, abs=1e-12)}
