@@ -14,8 +14,7 @@ from magiclens.spec.model import Choice, Viewer
 from magiclens.units import Angle
 
 OUTER = 2.5
-"""The outer cone is so much wider than the inner one. Measured: a wider one makes the inner one's quality more even and
-all of it a little lower; at 2.5 the picture loses about 1.5 dB from the middle to the inner cone."""
+"""The outer cone is so much wider than the inner one; a wider one evens out the inner one's quality and lowers it."""
 
 
 class StableZone(Scenario):
