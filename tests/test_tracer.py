@@ -191,6 +191,21 @@ def test_a_picture_has_the_sources_values_at_the_points_that_are_seen(pixels: in
         np.testing.assert_allclose(xy, points[lit], atol=0.01 * 48.0 / pixels)
 
 
+@pytest.mark.parametrize("turn", [0.0, 90.0, 180.0, 270.0])
+@pytest.mark.parametrize("eye", [ABOVE, ASIDE])
+def test_the_matrix_gives_the_picture_that_is_traced(eye: Eye, turn: float) -> None:
+    """Rays of rough facets, some lost at walls and beyond the source, several to a source pixel."""
+    lens, rng = small_lens(3, 8.0, source=24.0, microfacets=4), np.random.default_rng(0)
+    solid = solid_from_heights(surface(lens, rng.uniform(-0.4, 0.4, (3, 3, 5, 5))))
+    view = View("view", ramps(25), ramps(25), np.array(eye), turn)
+    (seen,) = Tracer(resolution=21, samples=3).render(Scene(lens, (view,)), solid)
+    carried = transport(solid, lens, view, 21, 3)
+    np.testing.assert_allclose(carried.see(view.source), seen, atol=1e-4)  # borders are clipped by 0.001 pixels
+    lines = np.split(carried.matrix.indices, carried.matrix.indptr[1:-1])
+    assert all(len(set(line.tolist())) == len(line) for line in lines)
+    assert 0.3 < seen.mean() < 0.9
+
+
 def test_a_flat_slab_shows_an_f_upright_and_not_mirrored() -> None:
     lens = small_lens(4, source=12.0)
     glyph = letter_f(96)[..., None]
