@@ -1,0 +1,58 @@
+"""STEP: the lens as a CAD solid (ISO 10303-21, application protocol 214)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import ClassVar, Literal
+
+from pydantic import Field
+
+from magiclens import Exporter, Length, Scene, Solid
+
+
+class Step(Exporter):
+    """A solid in millimetres for CAD programs: every facet one smooth face, all edges shared, one closed shell.
+
+    Facets become bicubic B-splines through the vertices of the mesh, of as few control points as the tolerance allows;
+    walls and sides that are not flat become ruled faces between the facets' edges.
+    """
+
+    type: ClassVar[str] = "step"
+    suffix: ClassVar[str] = ".step"
+
+    surface: Literal["splines", "triangles"] = Field(
+        "splines", description="one smooth face per facet, or the triangles of the mesh as they are, 50,000 at most"
+    )
+    tolerance: Length = Field(
+        "0.1um", validate_default=True, ge=0, description="`splines` only: how far a vertex of the mesh may be off"
+    )
+    departure: Length = Field(
+        "50um",
+        validate_default=True,
+        gt=0,
+        description="`splines` only: how far the smooth surface may leave the micro-facets between their vertices",
+    )
+
+    def export(self, scene: Scene, solid: Solid, path: Path) -> None:
+        """Write the file. Raises InputError if the solid is not of the kind that ``surface`` needs."""
+        from mlens_step.part21 import Part21
+        from mlens_step.product import add_product
+        from mlens_step.shell import add_slab
+        from mlens_step.slab import slab_of
+        from mlens_step.splines import smooth_net, um
+        from mlens_step.triangles import add_triangles, check_triangles
+
+        lens = scene.lens
+        name = f"Magic lens, {lens.size_mm:g} x {lens.size_mm:g} mm, index of refraction {lens.ior:g}"
+        if self.surface == "triangles":
+            check_triangles(solid)
+            how = "the mesh's triangles"
+        else:
+            slab = slab_of(lens, solid)
+            net = smooth_net(slab.top, lens.facets, slab.rim, self.tolerance, self.departure)
+            how = f"facets within {um(net.miss_mm)} of the mesh's vertices, {um(net.departure_mm)} of its micro-facets"
+        with path.open("w", encoding="ascii", newline="\n") as text:
+            file = Part21(text, path.name, f"{name}; {how}")
+            body = add_triangles(file, solid) if self.surface == "triangles" else add_slab(file, slab, net)
+            add_product(file, body, "lens", name)
+            file.close()
