@@ -46,13 +46,17 @@ def view_errors(scene: Scene, solid: Solid, view: View) -> FloatArray:
 
 def transports(scene: Scene, solid: Solid) -> list[Transport]:
     """One per view; views that share eye, rotation and source raster share the matrix."""
-    from magiclens.rendering.trace import transport
+    from magiclens.rendering.trace import carried, trace
 
     resolution = scene.lens.facets * math.ceil(LEAST_RESOLUTION / scene.lens.facets)
+    hits: dict[tuple[float, ...], FloatArray] = {}
     made: dict[tuple[object, ...], Transport] = {}
     for view in scene.views:
+        eye = tuple(view.in_lens_frame().eye_mm.tolist())
+        if eye not in hits:
+            hits = {eye: trace(solid, scene.lens, view, resolution, SAMPLES)}
         if _pose(view) not in made:
-            made[_pose(view)] = transport(solid, scene.lens, view, resolution, SAMPLES)
+            made[_pose(view)] = carried(hits[eye], scene.lens, view)
     return [made[_pose(view)] for view in scene.views]
 
 

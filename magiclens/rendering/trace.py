@@ -8,7 +8,6 @@ flat bottom; whatever ends elsewhere is black.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit, prange
@@ -16,9 +15,6 @@ from numba import njit, prange
 from magiclens.artifacts import FloatArray, Lens, Solid, Transport, View
 from magiclens.optics.refraction import refract, transmittance
 from magiclens.rendering.grid import grid_of
-
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
 
 MAX_EVENTS = 8
 """Refractions and reflections after which a path counts as lost."""
@@ -50,32 +46,73 @@ def picture(hits: FloatArray, source: FloatArray, source_size_mm: float) -> Floa
 
 def transport(solid: Solid, lens: Lens, view: View, resolution: int, samples: int) -> Transport:
     """The sparse matrix from the view's source (world frame, its own raster) to the picture (world frame)."""
-    rows, columns = view.source.shape[:2]
-    hits = np.rot90(trace(solid, lens, view, resolution, samples), view.quarter_turns)
-    c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[view.quarter_turns]
-    x, y, weight = hits[..., 0], hits[..., 1], hits[..., 2] / samples**2
-    matrix = _matrix(c * x - s * y, s * x + c * y, weight, rows, columns, columns / lens.source_size_mm)
-    return Transport(matrix, (resolution, resolution), (rows, columns))
+    return carried(trace(solid, lens, view, resolution, samples), lens, view)
 
 
-def _matrix(x: FloatArray, y: FloatArray, weight: FloatArray, rows: int, columns: int, per_mm: float) -> csr_array:
-    """Bilinear weights times transmission; x, y (world frame, mm, +y up) and weight are (R, R, S)."""
+def carried(hits: FloatArray, lens: Lens, view: View) -> Transport:
+    """A view's matrix from what ``trace`` found, (R, R, samples^2, 3): bilinear weights times transmission."""
     from scipy.sparse import csr_array
 
-    px, py = x * per_mm + columns / 2 - 0.5, -y * per_mm + rows / 2 - 0.5
-    weight = weight * ((abs(px - columns / 2 + 0.5) <= columns / 2) & (abs(py - rows / 2 + 0.5) <= rows / 2))
-    px, py = np.clip(px, 0, columns - 1.001), np.clip(py, 0, rows - 1.001)
-    ix, iy = px.astype(np.int32), py.astype(np.int32)
-    fx, fy = px - ix, py - iy
-    first = iy * columns + ix
-    index = np.stack([first, first + 1, first + columns, first + columns + 1], axis=-1)
-    share = np.stack([(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy], axis=-1) * weight[..., None]
-    pixels, per_pixel = x.shape[0] * x.shape[1], x.shape[2] * 4
-    pointer = np.arange(0, pixels * per_pixel + 1, per_pixel)
-    matrix = csr_array((share.ravel().astype(np.float32), index.ravel(), pointer), shape=(pixels, rows * columns))
-    matrix.sum_duplicates()
-    matrix.eliminate_zeros()
-    return matrix
+    rows, columns = view.source.shape[:2]
+    turned = np.ascontiguousarray(np.rot90(hits, view.quarter_turns))
+    c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[view.quarter_turns]
+    pixels = turned.shape[0] * turned.shape[1]
+    raster = (turned, c, s, rows, columns, columns / lens.source_size_mm)
+    pointers = np.zeros(pixels + 1, np.int32)
+    nothing = np.zeros(0, np.int32), np.zeros(0, np.float32)
+    _gather(*raster, pointers, *nothing)
+    np.cumsum(pointers, out=pointers)
+    index, share = np.zeros(pointers[-1], np.int32), np.zeros(pointers[-1], np.float32)
+    _gather(*raster, pointers, index, share)
+    matrix = csr_array((share, index, pointers), shape=(pixels, rows * columns))
+    return Transport(matrix, (turned.shape[0], turned.shape[1]), (rows, columns))
+
+
+@njit(cache=True, parallel=True)
+def _gather(hits, c, s, rows, columns, per_mm, pointers, index, share):
+    """Which source pixels each pixel of the picture draws from, and how much; hits: (R, R, S, 3), turned to the world.
+
+    A first call, without room for entries, leaves each picture pixel's number of them in ``pointers[1:]``; with these
+    added up, a second call fills ``index`` and ``share``.
+    """
+    height, width, samples, _ = hits.shape
+    for i in prange(height):
+        found, weights = np.zeros(4 * samples, np.int32), np.zeros(4 * samples)
+        for j in range(width):
+            count = 0
+            for k in range(samples):
+                weight = hits[i, j, k, 2] / samples
+                x = (c * hits[i, j, k, 0] - s * hits[i, j, k, 1]) * per_mm
+                y = -(s * hits[i, j, k, 0] + c * hits[i, j, k, 1]) * per_mm
+                if weight == 0.0 or abs(x) > 0.5 * columns or abs(y) > 0.5 * rows:
+                    continue
+                x = min(max(x + 0.5 * columns - 0.5, 0.0), columns - 1.001)
+                y = min(max(y + 0.5 * rows - 0.5, 0.0), rows - 1.001)
+                ix, iy = int(x), int(y)
+                fx, fy = x - ix, y - iy
+                for corner in range(4):
+                    right, below = corner & 1, corner >> 1
+                    part = weight * (fx if right else 1.0 - fx) * (fy if below else 1.0 - fy)
+                    if part > 0.0:
+                        count = _add(found, weights, count, (iy + below) * columns + ix + right, part)
+            pixel = i * width + j
+            if len(index) == 0:
+                pointers[pixel + 1] = count
+            else:
+                first = pointers[pixel]
+                for n in range(count):
+                    index[first + n], share[first + n] = found[n], weights[n]
+
+
+@njit(cache=True)
+def _add(found, weights, count, pixel, part):
+    """Add to a pixel's weight in a list of ``count`` different pixels; returns how many there are then."""
+    for n in range(count - 1, -1, -1):
+        if found[n] == pixel:
+            weights[n] += part
+            return count
+    found[count], weights[count] = pixel, part
+    return count + 1
 
 
 @njit(cache=True)
