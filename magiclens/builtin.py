@@ -35,12 +35,14 @@ def mlens_stages() -> Sequence[type[Stage]]:
     from magiclens.matching.exhaustive import Exhaustive
     from magiclens.matching.multi_view import MultiView
     from magiclens.meshing.finish import Pymeshlab
+    from magiclens.milling.gcode import Gcode
+    from magiclens.milling.rml import Rml
     from magiclens.rendering.mitsuba import Mitsuba
     from magiclens.rendering.tracer import Tracer
 
     matching: list[type[Stage]] = [Exhaustive, MultiView, DartThrowing]
     design: list[type[Stage]] = [HeatBath, Metropolis, Poisson, LeastSquares, Pymeshlab, encoding.LeastSquares]
-    fabrication: list[type[Stage]] = [Stl, Ply, Obj, ThreeMf, Glb, HeightMap, Slices, Sheet, Monitor]
+    fabrication: list[type[Stage]] = [Stl, Ply, Obj, ThreeMf, Glb, HeightMap, Slices, Gcode, Rml, Sheet, Monitor]
     return [*matching, *design, *fabrication, Tracer, Mitsuba]
 
 

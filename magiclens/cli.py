@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import sys
 import traceback as tracebacks
@@ -102,8 +103,6 @@ def plugins() -> None:
 @app.command()
 def schema() -> None:
     """Print the JSON Schema (draft 7) of specs, for editors."""
-    import json
-
     from magiclens.registry import ART, SCENARIO, STAGE, Registry
     from magiclens.spec.schema import json_schema
     from magiclens.stages import KINDS
@@ -162,6 +161,27 @@ def decode(
         typer.echo(convert(lambda frames: lens.decode(frames, view), sources, out))
 
 
+@app.command()
+def preflight(run_dir: RunFolder, traceback: Traceback = False) -> None:
+    """Check whether the lens of RUN_DIR is fit to be made, and write its preflight.html. Exit code 1: it is not."""
+    with _reporting(traceback):
+        from magiclens.reopen import preflight as check_run
+
+        found, text = check_run(run_dir)
+        typer.echo(f"{text}\n{run_dir / 'preflight.html'}")
+        if found.status == "red":
+            raise typer.Exit(1)
+
+
+@app.command()
+def machined(run_dir: RunFolder, traceback: Traceback = False) -> None:
+    """Simulate the milling programs of RUN_DIR: how they fit, and pictures of what their lens shows."""
+    with _reporting(traceback):
+        from magiclens.machined import machined as run_programs
+
+        typer.echo(run_programs(run_dir))
+
+
 @contextmanager
 def _reporting(traceback: bool) -> Iterator[None]:
     """Turn errors into one message and an exit code."""
@@ -194,6 +214,9 @@ def _summary(done: Run) -> str:
     for view in done.manifest["views"]:
         lines.append(f"{view['name']:16}" + "".join(f"{_figure(view[key]):>18}" for key in scores))
     files = [a["path"] for a in done.manifest["artifacts"] if "/" not in a["path"]]
+    if "preflight.json" in files:
+        found = json.loads((done.folder / "preflight.json").read_text(encoding="utf-8"))
+        lines += ["", f"preflight: {found['status']}"]
     return "\n".join([*lines, "", f"{done.folder}: {', '.join(files)}, manifest.json"])
 
 

@@ -80,6 +80,13 @@ def write_manifest(folder: Path, facts: Mapping[str, Any], seconds: Mapping[str,
     return whole
 
 
+def refresh_manifest(folder: Path) -> None:
+    """List the files of a finished run folder anew, after some have been written again."""
+    whole = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+    whole["artifacts"] = _files(folder)
+    (folder / MANIFEST).write_text(json.dumps(whole, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
 def _name(stage: Mapping[str, Any]) -> str:
     return f"{stage['kind']} {stage['type']}"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -14,6 +14,7 @@ from magiclens.registry import ART, SCENARIO, STAGE, Plugin, Registry, blaming
 from magiclens.scenarios.base import Scenario
 from magiclens.spec.checker import Checker
 from magiclens.spec.document import Document, Keys, read_document
+from magiclens.spec.fabrication import Fabrication, find_fabrication
 from magiclens.spec.fields import Context, Inputs
 from magiclens.spec.load import check_spec
 from magiclens.spec.model import DEFAULT_STAGES, Choice, PipelineSpec, Spec
@@ -60,6 +61,7 @@ class Plan:
     encoder: Step[Encoder] | None
     exporters: tuple[Step[Exporter], ...]
     renderers: tuple[Step[Renderer], ...]
+    fabrication: Fabrication | None
     registry: Registry = field(repr=False, compare=False)
 
     @property
@@ -74,6 +76,19 @@ class Plan:
             views = self.scenario.compiled(self.lens, self.spec.viewer, self.registry.art)
             return Scene(self.lens, views, self.scenario.reserved(self.lens, self.registry.art))
 
+    def on_medium(self, scene: Scene) -> Scene:
+        """The scene as paper or screen shows it: its sources, and its targets, which cannot be darker than its black.
+
+        Light counts from the medium's white: the eye adapts to that, as the exposure does in scores. What is written to
+        files, and what an encoder paints, keeps the full range: printing it does the mapping.
+        """
+        medium = self.spec.medium
+        if medium is None:
+            return scene
+        sources = {view.source_name: medium.shown(view.source) for view in scene.views}
+        views = (replace(v, source=sources[v.source_name], target=medium.shown(v.target)) for v in scene.views)
+        return replace(scene, views=tuple(views))
+
     def resolved(self, inputs: Inputs | None = None) -> dict[str, Any]:
         """The spec with every default written out. ``inputs`` collects its files and makes their paths portable."""
         spec = self.spec.model_dump(mode="json", exclude_none=True)
@@ -81,8 +96,10 @@ class Plan:
         several = {key: [step.choice(inputs) for step in getattr(self, key)] for key in LISTS}
         single = {s.stage.kind: s.choice(inputs) for s in self.steps if s.stage.kind not in LISTS.values()}
         rounds = {key: getattr(self.spec.pipeline, key) for key in ("rematch", "codesign")}
+        making = {"fabrication": self.fabrication.resolved()} if self.fabrication else {}
         return {
             **spec,
+            **making,
             "scenario": {"type": self.scenario.type, **scenario},
             "pipeline": {**single, **several, **rounds},
         }
@@ -107,12 +124,16 @@ class _Compiler:
     def __init__(self, document: Document, registry: Registry):
         self._document, self._registry = document, registry
         self._checker = Checker(document, Context(folder=document.folder, art=registry.types(ART)))
+        self._fabrication = find_fabrication(document, self._checker)
 
     def plan(self) -> Plan:
         """The plan, or the first mistake."""
-        spec = check_spec(self._document, self._checker)
+        spec = check_spec(self._document, self._checker, self._fabrication)
         scenario, scenario_plugin = self._scenario()
-        steps = self._steps(scenario.suited() if scenario else {})
+        suited = scenario.suited() if scenario else {}
+        if self._fabrication and spec:
+            suited = self._fabrication.suited(suited, spec.lens.wall)
+        steps = self._steps(suited)
         lens = self._fit(spec, scenario) if spec and scenario else None
         settle = self._checker.settle
         return Plan(
@@ -127,6 +148,7 @@ class _Compiler:
             encoder=next((settle(step) for step in steps["encoder"]), None),
             exporters=tuple(settle(step) for step in steps["exporters"]),
             renderers=tuple(settle(step) for step in steps["renderers"]),
+            fabrication=self._fabrication,
             registry=self._registry,
         )
 
@@ -157,8 +179,14 @@ class _Compiler:
 
     def _step(self, kind: str, choice: Choice, at: Keys) -> Step[Any] | None:
         found = self._pick(at, choice, STAGE, kind)
-        stage = self._options(found[0], choice, at, "option") if found else None
+        usual = self._machines(found[0]) if found and kind == Exporter.kind else {}
+        stage = self._options(found[0], {**usual, **choice}, at, "option") if found else None
         return Step(stage, found[1]) if found and stage else None
+
+    def _machines(self, exporter: type[Exporter]) -> Choice:
+        """The options of an exporter that the machine decides."""
+        usual = self._fabrication.machine.exporters().get(exporter.type, {}) if self._fabrication else {}
+        return {key: value for key, value in usual.items() if key in exporter.model_fields}
 
     def _pick(self, at: Keys, choice: Choice, *table: str) -> tuple[type[Any], Plugin] | None:
         """The class that a mapping's ``type`` names, and its plugin."""
@@ -209,6 +237,11 @@ def _lens_lines(plan: Plan) -> list[str]:
         f"slope at most {lens.max_slope_deg:g} deg, ior {lens.ior:g}",
         "source": f"{lens.source_size_mm:g} mm, {lens.gap_mm:g} mm below the slab",
     }
+    if plan.spec.medium:
+        black, white = (f"{100 * level:g} %" for level in (plan.spec.medium.black, plan.spec.medium.white))
+        rows["medium"] = f"black reflects {black} of the light, white {white}"
+    if plan.fabrication:
+        rows["machine"] = f"{plan.fabrication.name}: {plan.fabrication.profile.title}"
     return [f"{key:9}{value}" for key, value in rows.items()]
 
 

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from magiclens.artifacts import FloatArray, HeightField, Scene, Solid, Transport, View
 from magiclens.errors import InputError
-from magiclens.folder import MANIFEST, load_heights
+from magiclens.folder import HEIGHTS, MANIFEST, load_heights
+from magiclens.manifest import refresh_manifest, source_path
 from magiclens.plan import Plan, load_plan
 from magiclens.registry import Registry, blaming
 from magiclens.spec.suggest import unknown
+
+if TYPE_CHECKING:
+    from magiclens.preflight.inspect import Preflight
 
 BATCH = 4
 """Frames that are encoded together."""
@@ -28,6 +34,18 @@ class Reopened:
     folder: Path
     plan: Plan
     scene: Scene
+
+    @property
+    def printed_scene(self) -> Scene:
+        """The scene with the sources that the run folder holds: those of an encoder, if there is one."""
+        from magiclens.images import resize
+        from magiclens.images.files import read_image
+
+        def source(view: View) -> FloatArray:
+            picture = resize(read_image(self.folder / source_path(view)), view.source.shape[:2])
+            return np.ascontiguousarray(np.broadcast_to(picture, view.source.shape), np.float32)
+
+        return replace(self.scene, views=tuple(replace(view, source=source(view)) for view in self.scene.views))
 
     @cached_property
     def solid(self) -> Solid:
@@ -74,16 +92,43 @@ class Reopened:
         from magiclens.images import resize, square
 
         transport = self.transport(self.view(name))
-        return (transport.see(resize(square(source), transport.source_shape)) for source in sources)
+        medium = self.plan.spec.medium
+        fitting = (resize(square(source), transport.source_shape) for source in sources)
+        return (transport.see(medium.shown(source) if medium else source) for source in fitting)
 
 
 def reopen(folder: str | Path, registry: Registry | None = None) -> Reopened:
     """Open a finished run folder. Raises InputError if it is none."""
+    plan = _plan_of(Path(folder), registry)
+    return Reopened(Path(folder), plan, plan.scene())
+
+
+def preflight(folder: str | Path, registry: Registry | None = None) -> tuple[Preflight, str]:
+    """Check a finished run folder anew, by its files alone, and write its preflight page; a table too.
+
+    If its printer can be simulated, the lens is path-traced as it will come out, rough surface included:
+    ``figures/as-made-rough-<view>.png``. Raises InputError if it is no run folder, or has no mesh.
+    """
+    from magiclens.preflight.as_made import rough_pictures, write_pictures
+    from magiclens.preflight.inspect import inspect
+    from magiclens.preflight.page import table, write_preflight
+
     path = Path(folder)
+    plan = _plan_of(path, registry)
+    if plan.fabrication and (path / HEIGHTS).is_file():
+        lens = Reopened(path, plan, plan.scene())
+        pictures = rough_pictures(plan.fabrication.machine, plan.on_medium(lens.printed_scene), lens.solid)
+        write_pictures(pictures, lens.scene.views[: len(pictures)], path, "as-made-rough")
+    found = inspect(path, json.loads((path / MANIFEST).read_text(encoding="utf-8")), plan)
+    write_preflight(found, path)
+    refresh_manifest(path)
+    return found, table(found)
+
+
+def _plan_of(path: Path, registry: Registry | None) -> Plan:
     if not (path / MANIFEST).is_file():
         raise InputError(f"'{path}' is not a run folder: it has no {MANIFEST}")
-    plan = load_plan(path / "spec.yaml", (), registry)
-    return Reopened(path, plan, plan.scene())
+    return load_plan(path / "spec.yaml", (), registry)
 
 
 def _showing(view: View, frame: FloatArray, channels: int, name: str) -> View:

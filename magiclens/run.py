@@ -36,6 +36,7 @@ from magiclens.manifest import (
 )
 from magiclens.observers import Observer
 from magiclens.plan import Plan, Step, load_plan
+from magiclens.profiles.machines import Machine
 from magiclens.registry import blaming
 from magiclens.report.data import RunData, Zone
 from magiclens.spec.fields import Inputs
@@ -144,9 +145,9 @@ def _make(plan: Plan, folder: Path, worker: _Worker) -> RunData:
     given = scene = worker.part("pictures", plan.scene)
     rng = _generators(plan.spec.seed)
     for _ in range(plan.spec.pipeline.codesign):
-        *_, solid = _design(plan, scene, rng, worker)
+        *_, solid = _design(plan, plan.on_medium(scene), rng, worker)
         scene = _encode(plan, given, _matrices(plan, given, solid, worker), rng, worker)
-    candidates, assignment, height_field, rough = _design(plan, scene, rng, worker)
+    candidates, assignment, height_field, rough = _design(plan, plan.on_medium(scene), rng, worker)
     solid = worker.stage(plan.finisher, lambda p: plan.finisher.stage.finish(given, rough, p), check_solid)
     matrices = _matrices(plan, given, solid, worker)
     scene = _encode(plan, given, matrices, rng, worker)
@@ -154,13 +155,14 @@ def _make(plan: Plan, folder: Path, worker: _Worker) -> RunData:
     save_heights(solid, plan.lens, folder)
     for exporter in plan.exporters:
         _export(exporter, scene, solid, folder, worker)
-    renders = {step.stage.type: _render(step, scene, solid, folder, worker) for step in plan.renderers}
+    shown = plan.on_medium(scene)
+    renders = {step.stage.type: _render(step, shown, solid, folder, worker) for step in plan.renderers}
     if plan.scenario.frames_per_second and renders:
         animate = partial(_animate, scene, plan.scenario.frames_per_second, next(iter(renders.values())), folder)
         worker.part("animations", animate)
     made = (candidates, assignment, height_field, rough, solid)
     first = Assignment.pick(candidates, candidates.errors.argmin(axis=-1))
-    metrics = worker.part("bounds", partial(_bounds, scene, candidates, first, assignment, height_field))
+    metrics = worker.part("bounds", partial(_bounds, shown, candidates, first, assignment, height_field))
     metrics |= {name: value for artifact in made for name, value in artifact.metrics.items()}
     zone = _zone(plan, given, scene, rough, worker)
     if zone:
@@ -174,8 +176,12 @@ def _make(plan: Plan, folder: Path, worker: _Worker) -> RunData:
         metrics |= worker.part("leaks", partial(leaks, matrices, plan.lens.facets, given.reserved))
         metrics |= _changes(given, scene) | hidden.metrics
         _write_sources(given, folder, "given")
-    facts = manifest(plan, inputs, scene, metrics, _scores(scene, renders))
-    data = RunData(given, scene, candidates, first, assignment, height_field, solid, renders, facts, zone, hidden)
+    if plan.fabrication:
+        metrics |= worker.part("as made", partial(_as_made, plan.fabrication.machine, shown, solid, folder))
+    facts = manifest(plan, inputs, scene, metrics, _scores(shown, renders))
+    worker.part("preflight", partial(_preflight, plan, facts, solid, folder))
+    asked = shown if given is scene else plan.on_medium(given)
+    data = RunData(asked, shown, candidates, first, assignment, height_field, solid, renders, facts, zone, hidden)
     worker.part("report", partial(write_report, data, folder))
     return data
 
@@ -272,9 +278,11 @@ def _zone(plan: Plan, given: Scene, scene: Scene, solid: Solid, worker: _Worker)
     if not rings(given):
         return None
     rng, aside, first = _generators(plan.spec.seed), _Aside(plan, Observer()), replace(given, views=given.views[:1])
-    *_, plain = worker.part("plain lens", partial(_design, plan, first, rng, aside), plan.lens.facets**2)
+    design = partial(_design, plan, plan.on_medium(first), rng, aside)
+    *_, plain = worker.part("plain lens", design, plan.lens.facets**2)
     plain_scene = _encode(plan, first, _matrices(plan, first, plain, aside), rng, aside)
-    return worker.part("stable zone", partial(measure, scene, solid, plain_scene, plain))
+    seen = partial(measure, plan.on_medium(scene), solid, plan.on_medium(plain_scene), plain)
+    return worker.part("stable zone", seen)
 
 
 def _shape(
@@ -353,6 +361,28 @@ def _animate(scene: Scene, fps: float, seen: list[FloatArray], folder: Path) -> 
     for name, frames in (("sources", [resize(view.source, (side, side)) for view in scene.views]), ("seen", seen)):
         write_gif(folder / "animations" / f"{name}.gif", frames, fps)
         write_mp4(folder / "animations" / f"{name}.mp4", frames, fps)
+
+
+def _as_made(machine: Machine, scene: Scene, solid: Solid, folder: Path) -> dict[str, float]:
+    """What the lens shows as the machine makes it, as pictures, and what that costs; nothing if it is not simulated."""
+    from magiclens.preflight.as_made import as_made, write_pictures
+
+    made = as_made(machine, scene, solid)
+    if made is None:
+        return {}
+    write_pictures(made.pictures, scene.views, folder, "as-made")
+    return {"fabrication_loss_db": made.loss_db}
+
+
+def _preflight(plan: Plan, facts: dict[str, Any], solid: Solid, folder: Path) -> None:
+    """Check what was exported, if it is a mesh."""
+    from magiclens.preflight.exported import mesh_files
+
+    if mesh_files(folder):
+        from magiclens.preflight.inspect import inspect
+        from magiclens.preflight.page import write_preflight
+
+        write_preflight(inspect(folder, facts, plan, solid), folder)
 
 
 def _scores(scene: Scene, renders: Renders) -> Scores:

@@ -13,10 +13,11 @@ from typer.testing import CliRunner
 from magiclens.cli import app
 from magiclens.errors import InputError
 from magiclens.plan import load_plan
+from magiclens.profiles.materials import materials
 from magiclens.registry import ART, SCENARIO, STAGE, Registry
 from magiclens.spec.document import read_document
 from magiclens.spec.load import load_spec
-from magiclens.spec.model import MATERIALS, PipelineSpec
+from magiclens.spec.model import PipelineSpec
 from magiclens.spec.schema import json_schema
 from magiclens.stages import KINDS
 from toys import SPEC, SpecWriter
@@ -30,7 +31,7 @@ WRONG: dict[str, tuple[tuple[str, str], str]] = {
     "unknown unit": (("size: 20mm", "size: 20mn"), "7: lens.size: unknown unit 'mn' in '20mn'; a length is in mm, cm"),
     "wrong unit": (("90deg]", "90mm]"), "5: scenario.angles.1: unknown unit 'mm' in '90mm'; an angle is in deg, rad"),
     "unknown key": (("viewer:", "viewr:"), "10: viewr: unknown key; did you mean 'viewer'?"),
-    "unknown key far from all": (("viewer:", "zzz:"), "10: zzz: unknown key; choose one of: lens, name, pipeline"),
+    "unknown key far from all": (("viewer:", "zzz:"), "10: zzz: unknown key; choose one of: fabrication, lens, medium"),
     "unknown lens key": (("facets", "facetts"), "8: lens.facetts: unknown key; did you mean 'facets'?"),
     "unknown stage option": (
         ("    sweeps", "    swepes"),
@@ -271,7 +272,7 @@ def test_everything_but_the_scenario_has_a_default(tmp_path: Path) -> None:
     path.write_text("scenario: {type: single}\n")
     spec = load_spec(path)
     assert (spec.name, spec.seed, spec.viewer.distance) == ("my lens.v2", 0, 400.0)
-    assert spec.lens.build().ior == MATERIALS["acrylic"]
+    assert spec.lens.build().ior == materials()["acrylic"].ior
     assert spec.pipeline.choice("integrator", {}) == {"type": "poisson"}
     assert spec.pipeline.choice("encoder", {}) is None
 
@@ -341,7 +342,7 @@ def test_mistakes_in_the_file_come_before_mistakes_in_overrides(write_spec: Spec
 
 def test_an_override_is_validated_together_with_the_file(write_spec: SpecWriter, registry: Registry) -> None:
     plan = load_plan(write_spec(("size: 20mm", "ior: 1.5")), ["lens.ior=null", "lens.material=glass"], registry)
-    assert plan.lens.ior == MATERIALS["glass"]
+    assert plan.lens.ior == materials()["glass"].ior
 
 
 def test_anchors_and_merges_are_plain_yaml(write_spec: SpecWriter) -> None:

@@ -53,6 +53,7 @@ LABELS = {
     "bodies": "Bodies",
     "zero_area_faces": "Faces without area",
     "self_intersections": "Faces that cut others",
+    "fabrication_loss_db": "PSNR lost by the machine's layers, blur and polish, simulated",
     "smoothing_mm": "Farthest move of a vertex by smoothing",
 }
 """What metrics are, for people who did not write them; others go by their names."""
@@ -72,6 +73,7 @@ CONTENTS = {
     "inputs/": "a picture that the spec uses",
     "spec.yaml": "the spec, every default written out",
     "manifest.json": "everything about the run, for programs",
+    "preflight.": "whether it is fit to be made",
     "report.html": "this page",
 }
 """What is in a file of a run folder, by the beginning of its path."""

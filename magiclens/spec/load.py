@@ -7,6 +7,7 @@ from pathlib import Path
 
 from magiclens.spec.checker import Checker
 from magiclens.spec.document import Document, read_document
+from magiclens.spec.fabrication import Fabrication, find_fabrication
 from magiclens.spec.model import Spec
 
 
@@ -17,12 +18,22 @@ def load_spec(path: str | Path, overrides: Iterable[str] = ()) -> Spec:
     """
     document = read_document(path, overrides)
     checker = Checker(document, {"folder": document.folder})
-    return checker.settle(check_spec(document, checker))
+    return checker.settle(check_spec(document, checker, find_fabrication(document, checker)))
 
 
-def check_spec(document: Document, checker: Checker) -> Spec | None:
-    """Validate everything but the scenario's and the stages' own options; named after the file by default."""
-    return checker.validate(Spec, {"name": default_name(document), **document.data})
+def check_spec(document: Document, checker: Checker, fabrication: Fabrication | None) -> Spec | None:
+    """Validate everything but the scenario's and the stages' own options; named after the file by default.
+
+    A machine says what the lens is like where the spec does not, and what it cannot be.
+    """
+    data = {"name": default_name(document), **document.data}
+    lens = data.get("lens") or {}
+    if fabrication and isinstance(lens, dict):
+        data["lens"] = fabrication.lens(lens)
+    spec = checker.validate(Spec, data)
+    for key, objection in fabrication.objections(spec.lens) if fabrication and spec else ():
+        checker.add(("lens", key), objection)
+    return spec
 
 
 def default_name(document: Document) -> str:

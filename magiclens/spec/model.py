@@ -10,11 +10,9 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
 from magiclens.artifacts import FloatArray, Lens
+from magiclens.profiles.materials import materials
 from magiclens.spec.suggest import shown, unknown
-from magiclens.units import LENGTH, Angle, Length
-
-MATERIALS = {"acrylic": 1.49, "glass": 1.52, "polycarbonate": 1.585, "pdms": 1.41, "photopolymer": 1.47}
-"""Index of refraction of each material, at 589 nm."""
+from magiclens.units import FRACTION, LENGTH, Angle, Fraction, Length
 
 DEFAULT_STAGES = {"matcher": "exhaustive", "annealer": "heat-bath", "integrator": "poisson", "finisher": "pymeshlab"}
 """The stage of each kind that runs when neither the spec nor the scenario chooses."""
@@ -29,6 +27,11 @@ class SpecModel(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
 
 
+def _material_names(schema: dict[str, Any]) -> None:
+    """Lists the materials in a JSON Schema."""
+    schema["anyOf"] = [{"enum": [*materials()]}, {"type": "null"}]
+
+
 class LensSpec(SpecModel):
     """The slab: its size, its facets, its material and its limits."""
 
@@ -40,7 +43,7 @@ class LensSpec(SpecModel):
     material: str | None = Field(
         None,
         description="what the lens is made of; acrylic unless ior is given",
-        json_schema_extra={"anyOf": [{"enum": [*MATERIALS]}, {"type": "null"}]},
+        json_schema_extra=_material_names,
     )
     ior: float | None = Field(None, gt=1, le=4, description="index of refraction, instead of a material")
     wall: Length = Field("0.5um", validate_default=True, gt=0, description="width of the strip between two facets")
@@ -53,8 +56,8 @@ class LensSpec(SpecModel):
     @field_validator("material")
     @classmethod
     def _known_material(cls, value: str | None) -> str | None:
-        if value is not None and value not in MATERIALS:
-            raise ValueError(unknown("material", value, MATERIALS))
+        if value is not None and value not in materials():
+            raise ValueError(unknown("material", value, materials()))
         return value
 
     @field_validator("ior")
@@ -89,7 +92,7 @@ class LensSpec(SpecModel):
 
     def build(self) -> Lens:
         """The lens, with a source as large as itself."""
-        ior = MATERIALS[self.material] if self.material else self.ior
+        ior = materials()[self.material].ior if self.material else self.ior
         return Lens(
             size_mm=self.size,
             source_size_mm=self.size,
@@ -126,6 +129,37 @@ def _choice(value: object) -> object:
 
 Choice = Annotated[dict[str, Any], BeforeValidator(_choice)]
 """A mapping with a ``type`` and the options of that type, not resolved yet."""
+
+
+class Medium(SpecModel):
+    """How dark and how bright the sheet or the screen gets that shows the source: a printed black is not 0."""
+
+    black: Fraction = Field("0%", validate_default=True, ge=0, lt=1, description="light that black reflects")
+    white: Fraction = Field("100%", validate_default=True, gt=0, le=1, description="light that white reflects")
+
+    @field_validator("white")
+    @classmethod
+    def _white_is_brighter(cls, value: float, info: ValidationInfo) -> float:
+        black = info.data.get("black", 0.0)
+        if value <= black:
+            raise ValueError(f"white must be brighter than black, more than {FRACTION.text(black)}")
+        return value
+
+    def shown(self, linear: FloatArray) -> FloatArray:
+        """What is seen of a picture in linear light, of any shape; 1 is the medium's white, to which the eye adapts."""
+        darkest = self.black / self.white
+        seen: FloatArray = np.float32(darkest) + np.float32(1 - darkest) * linear
+        return seen
+
+
+def _machine(value: object) -> object:
+    if value is not None and not isinstance(value, dict):
+        raise ValueError(f"expected a mapping such as {{machine: printing}}, got {shown(value)}")
+    return value
+
+
+Making = Annotated[dict[str, Any] | None, BeforeValidator(_machine)]
+"""A mapping with a ``machine`` and options of that machine, not resolved yet."""
 
 
 class PipelineSpec(SpecModel):
@@ -165,4 +199,6 @@ class Spec(SpecModel):
     scenario: Choice = Field(description="what the lens shows, from where")
     lens: LensSpec = Field(default_factory=LensSpec, description="the slab")
     viewer: Viewer = Field(default_factory=Viewer, description="the eye")
+    medium: Medium | None = Field(None, description="black and white of what shows the source; ideal ones if left out")
+    fabrication: Making = Field(None, description="the machine that makes the lens: its limits hold")
     pipeline: PipelineSpec = Field(default_factory=PipelineSpec, description="the stages")

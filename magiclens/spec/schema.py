@@ -8,6 +8,7 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic.json_schema import GenerateJsonSchema
 
+from magiclens.profiles.machines import PROCESSES, machines
 from magiclens.spec.fields import ART_FORMAT
 from magiclens.spec.model import DEFAULT_STAGES, Spec
 from magiclens.units import LengthOrPercent
@@ -38,7 +39,10 @@ def json_schema(scenarios: Classes, stages: Mapping[str, Classes], art: Iterable
     for noun, classes in {"scenario": scenarios, **stages}.items():
         for type_, cls in classes.items():
             definitions[f"{noun}-{type_}"] = _definition(noun, type_, cls)
+    for process, model in PROCESSES.items():
+        definitions[f"machine-{process}"] = _machine(process, model)
     _set(spec["properties"]["scenario"], _one_of("scenario", scenarios))
+    _set(spec["properties"]["fabrication"], {**_one_of("machine", PROCESSES), "type": "object"})
     pipeline = definitions["PipelineSpec"]["properties"]
     for kind in SINGLE:
         _set(pipeline[kind], _any_of(kind, stages[kind]))
@@ -58,6 +62,13 @@ def _definition(noun: str, type_: str, cls: type[BaseModel]) -> dict[str, Any]:
         "required": [*([] if noun in SINGLE else ["type"]), *schema.get("required", [])],
         "definitions": schema.get("$defs", {}),
     }
+
+
+def _machine(process: str, model: type[BaseModel]) -> dict[str, Any]:
+    """The options of the machines of one process, and their names."""
+    schema = model.model_json_schema(schema_generator=_Draft7)
+    names = [name for name, profile in machines().items() if profile.process == process]
+    return {**schema, "properties": {"machine": {"enum": names}, **schema["properties"]}, "required": ["machine"]}
 
 
 def _one_of(noun: str, classes: Classes) -> dict[str, Any]:

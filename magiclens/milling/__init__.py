@@ -1,0 +1,1 @@
+"""Programs for milling machines, and what a machine makes of them."""

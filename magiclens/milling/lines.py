@@ -1,0 +1,76 @@
+"""Kernels that turn heights sampled along a line into few straight segments that never pass below them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit, prange
+
+UNEVEN = 3.0
+"""Samples are uneven where they bend down by more than so many times what the cutter's own roundness makes them."""
+NOISE_MM = 2e-4
+
+
+@njit(cache=True, parallel=True)
+def covering(z, bend):
+    """(rows, columns): heights whose connecting lines stay above the cutter's true path between the samples too.
+
+    Between two samples the path bulges by no more than the cutter's roundness allows, unless it jumps. Where it
+    jumps (second differences below ``-UNEVEN * bend``), the lower side is raised to the upper one.
+    """
+    out = z.copy()
+    for row in prange(z.shape[0]):
+        for i in range(1, z.shape[1] - 1):
+            if z[row, i - 1] - 2.0 * z[row, i] + z[row, i + 1] < -UNEVEN * bend - NOISE_MM:
+                out[row, i - 1] = max(out[row, i - 1], z[row, i])
+                out[row, i + 1] = max(out[row, i + 1], z[row, i])
+    return out
+
+
+@njit(cache=True, parallel=True)
+def thinned(z, every):
+    """(rows, 1 + (columns - 1) / every): every so many samples, raised until the lines between them cover the rest."""
+    rows, columns = z.shape[0], (z.shape[1] - 1) // every + 1
+    out = np.empty((rows, columns))
+    for row in prange(rows):
+        for k in range(columns):
+            out[row, k] = z[row, k * every]
+        missing = np.zeros(columns)
+        for k in range(columns - 1):
+            a, b = z[row, k * every], z[row, (k + 1) * every]
+            for i in range(1, every):
+                lack = z[row, k * every + i] - (a + (b - a) * i / every)
+                missing[k], missing[k + 1] = max(missing[k], lack), max(missing[k + 1], lack)
+        out[row] += missing
+    return out
+
+
+@njit(cache=True)
+def segments(z, dx, tolerance, step):
+    """(corner, count): samples at which a line through heights z turns, and its heights there in units of ``step``.
+
+    Between its corners the line is never below the samples, nor more than ``tolerance`` above them.
+    """
+    corner, count = np.empty(len(z), np.int64), np.empty(len(z), np.int64)
+    corner[0], count[0], n = 0, _up(z[0], step), 1
+    while corner[n - 1] < len(z) - 1:
+        start, base = corner[n - 1], count[n - 1] * step
+        corner[n], count[n] = start + 1, _up(z[start + 1], step)
+        low, high = -math.inf, math.inf
+        for k in range(start + 1, len(z)):
+            way = (k - start) * dx
+            low, high = max(low, (z[k] - base) / way), min(high, (z[k] + tolerance - base) / way)
+            if low > high:
+                break
+            up = _up(base + low * way, step)
+            if up * step <= base + high * way + 1e-12:
+                corner[n], count[n] = k, up
+        n += 1
+    return corner[:n].copy(), count[:n].copy()
+
+
+@njit(cache=True)
+def _up(z, step):
+    """The least multiple of ``step`` that is not below z, but for rounding errors."""
+    return math.ceil(z / step - 1e-6)

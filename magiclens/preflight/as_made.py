@@ -1,0 +1,63 @@
+"""The lens as a machine makes it, and what it shows then."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from magiclens.artifacts import FloatArray, Scene, Solid, View
+from magiclens.fabrication.printed import printed
+from magiclens.images import score, write_png
+from magiclens.profiles.machines import Machine, Printer
+from magiclens.rendering.mitsuba import Mitsuba
+from magiclens.rendering.tracer import Tracer
+
+EYE = Tracer(resolution=384, samples=2)
+
+
+@dataclass(frozen=True)
+class AsMade:
+    """Per view (R, R, C), linear light, what the lens shows as made. loss_db: PSNR as designed minus PSNR as made."""
+
+    pictures: Sequence[FloatArray]
+    loss_db: float
+
+
+def made_by(machine: Machine, solid: Solid) -> Solid | None:
+    """What a machine makes of a solid; None for machines that are not simulated here."""
+    return printed(solid, machine) if isinstance(machine, Printer) else None
+
+
+def as_made(machine: Machine, scene: Scene, solid: Solid) -> AsMade | None:
+    """Trace the lens as made, and compare it with the lens as designed; None where the machine is not simulated.
+
+    What the machine's limits cost the design is not in the loss: that lens was never designed. It is the loss of what
+    limits cannot prevent: stairs, spreading, polishing.
+    """
+    made = made_by(machine, solid)
+    if made is None or solid.grid is None:
+        return None
+    pictures = EYE.render(scene, made)
+    return AsMade(pictures, _psnr_db(EYE.render(scene, solid), scene) - _psnr_db(pictures, scene))
+
+
+def rough_pictures(machine: Machine, scene: Scene, solid: Solid) -> list[FloatArray]:
+    """The same path-traced by Mitsuba, with the roughness of the machine's surface; nothing if it is not simulated."""
+    made = made_by(machine, solid)
+    return [] if made is None else Mitsuba(roughness=machine.roughness).render(scene, made)
+
+
+def write_pictures(pictures: Sequence[FloatArray], views: Sequence[View], folder: Path, name: str) -> None:
+    """Write ``figures/<name>-<view>.png``, each at its best exposure."""
+    (folder / "figures").mkdir(exist_ok=True)
+    for picture, view in zip(pictures, views, strict=True):
+        lit = np.clip(picture * score(picture, view.target).gain, 0, 1)
+        write_png(folder / "figures" / f"{name}-{view.name}.png", lit)
+
+
+def _psnr_db(pictures: Sequence[FloatArray], scene: Scene) -> float:
+    pairs = zip(pictures, scene.views, strict=True)
+    return float(np.mean([score(picture, view.target).psnr_db for picture, view in pairs]))

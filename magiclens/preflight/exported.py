@@ -1,0 +1,128 @@
+"""Mesh files of a run folder, read back as the next program will read them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from xml.etree.ElementTree import iterparse
+from zipfile import ZipFile
+
+import numpy as np
+
+from magiclens.artifacts import FloatArray, IntArray, Solid
+
+KINDS = ("stl", "ply", "glb", "3mf", "obj")
+"""Endings of mesh files, those that are quick to read first."""
+FLOOR_MM = 1e-4
+"""Vertices below this belong to the flat bottom."""
+_STL = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+_MIX = (0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9)
+
+
+@dataclass(frozen=True)
+class Exported:
+    """The triangles of a mesh file, (F, 3, 3) float32, mm, lens frame, outward if the file is right."""
+
+    path: Path
+    triangles: FloatArray
+
+    @property
+    def name(self) -> str:
+        """The file's name."""
+        return self.path.name
+
+    @cached_property
+    def extent_mm(self) -> FloatArray:
+        """(2, 3): lowest and highest x, y and z."""
+        axes = [self.triangles[..., k] for k in range(3)]
+        return np.array([[axis.min() for axis in axes], [axis.max() for axis in axes]], np.float64)
+
+    @cached_property
+    def volume_mm3(self) -> float:
+        """By the divergence theorem; positive if faces point outward."""
+        a, b, c = np.moveaxis(self.triangles, 1, 0)
+        return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum(dtype=np.float64) / 6)
+
+    @cached_property
+    def on_top(self) -> IntArray:
+        """Indices of the triangles that have no corner on the flat bottom."""
+        return np.flatnonzero(np.minimum.reduce(np.moveaxis(self.triangles[..., 2], 1, 0)) > FLOOR_MM)
+
+    def mirrored(self) -> Exported:
+        """The same body seen in a mirror that swaps -x and +x."""
+        swapped = (self.triangles * np.array([-1, 1, 1], np.float32))[:, ::-1]
+        return Exported(self.path, np.ascontiguousarray(swapped))
+
+    def same_as(self, solid: Solid) -> bool:
+        """Whether the file holds just the faces of a solid, in its order, to float32."""
+        wanted = solid.vertices.astype(np.float32)
+        count = len(self.triangles) == len(solid.faces)
+        return count and bool((wanted[solid.faces] == self.triangles).all())
+
+    def solid(self, eye_mm: FloatArray | None) -> Solid:
+        """The closed mesh that the triangles make where corners coincide; vertices of the top first.
+
+        ``eye_mm`` is along whose rays the top was cut, None for vertical cells. The grid says how many belong to the
+        top, not how they lie: the built-in tracer cannot take this solid.
+        """
+        corners = self.triangles.reshape(-1, 3) + np.float32(0)
+        first, index = _distinct(corners)
+        vertices = corners[first].astype(np.float64)
+        low = vertices[:, 2] <= FLOOR_MM
+        order = np.argsort(low, kind="stable")
+        rank = np.empty(len(order), np.int64)
+        rank[order] = np.arange(len(order))
+        faces = rank[index].reshape(-1, 3).astype(np.int32)
+        return Solid(vertices[order], faces, (int((~low).sum()), 1), eye_mm)
+
+
+def read_exported(path: Path) -> Exported:
+    """Read one mesh file, whatever its kind, in millimetres. Raises ValueError if it is none."""
+    if path.suffix == ".stl":
+        content = path.read_bytes()
+        count = int.from_bytes(content[80:84], "little")
+        if len(content) != 84 + _STL.itemsize * count:
+            raise ValueError(f"{path.name} is cut short or is not binary STL")
+        return Exported(path, np.ascontiguousarray(np.frombuffer(content, _STL, count, 84)["corners"]))
+    if path.suffix == ".3mf":
+        return Exported(path, _three_mf(path))
+    from trimesh import load_mesh
+
+    mesh = load_mesh(str(path), process=False)
+    triangles = np.asarray(mesh.triangles)
+    if path.suffix == ".glb":  # metres, +y up
+        x, up, away = np.moveaxis(triangles * 1000, -1, 0)
+        triangles = np.stack([x, -away, up], axis=-1)
+    return Exported(path, triangles.astype(np.float32))
+
+
+def _three_mf(path: Path) -> FloatArray:
+    """(F, 3, 3) float32: the triangles of the one mesh of a 3MF package in millimetres, where the mesh has them."""
+    vertices: list[tuple[float, ...]] = []
+    faces: list[tuple[int, ...]] = []
+    with ZipFile(path) as archive, archive.open("3D/3dmodel.model") as model:
+        for _, element in iterparse(model):
+            tag = element.tag.rpartition("}")[2]
+            if tag == "vertex":
+                vertices.append(tuple(float(element.attrib[axis]) for axis in "xyz"))
+            elif tag == "triangle":
+                faces.append(tuple(int(element.attrib[corner]) for corner in ("v1", "v2", "v3")))
+            element.clear()
+    triangles: FloatArray = np.array(vertices, np.float32)[np.array(faces)]
+    return triangles
+
+
+def mesh_files(folder: Path) -> list[Path]:
+    """The mesh files of a run folder, those that are quick to read first."""
+    return [path for path in (folder / f"lens.{kind}" for kind in KINDS) if path.is_file()]
+
+
+def _distinct(points: FloatArray) -> tuple[IntArray, IntArray]:
+    """Of points (P, 3) float32: the first of each distinct one, and for all points which of these they are."""
+    bits = np.ascontiguousarray(points, np.float32).view(np.uint32).astype(np.uint64)
+    mixed = (bits * np.array(_MIX, np.uint64)).sum(axis=1, dtype=np.uint64)
+    _, first, index = np.unique(mixed ^ (mixed >> np.uint64(29)), return_index=True, return_inverse=True)
+    if not (points[first][index] == points).all():  # two points were mixed into one number
+        _, first, index = np.unique(points, axis=0, return_index=True, return_inverse=True)
+    return first, index.ravel()

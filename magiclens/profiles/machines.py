@@ -1,0 +1,158 @@
+"""Machines: what they can make, and what a lens for them looks like while nobody says otherwise."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from functools import cache
+from types import MappingProxyType
+from typing import Any, ClassVar, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from magiclens.profiles.data import read_data
+from magiclens.units import ANGLE, LENGTH, Angle, Length
+
+SPEED = r"^\d+(\.\d+)? ?mm/(min|s)$"
+
+
+class Machine(BaseModel, ABC):
+    """What a machine can do. The fields are the keys that a spec may write beside ``fabrication.machine``."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
+    process: ClassVar[str]
+
+    bed: tuple[Length, Length, Length] = Field(description="largest block: width, depth, height")
+    thickness: tuple[Length, Length] = Field(description="thinnest place and highest point of a lens that it makes")
+    max_slope: Angle = Field(gt=0, lt=90, description="steepest facet")
+    wall: Length = Field(gt=0, description="narrowest strip between two facets")
+    feature: Length = Field(gt=0, description="smallest facet that keeps its shape")
+    roughness: float = Field(0.0, ge=0, le=1, description="GGX alpha of the surface, finished")
+    price: float | None = Field(None, ge=0, description="EUR per kg of material; the material's estimate if left out")
+
+    @field_validator("thickness")
+    @classmethod
+    def _is_a_range(cls, value: tuple[float, float]) -> tuple[float, float]:
+        least, most = value
+        if not 0 < least < most:
+            raise ValueError(f"goes from thin to thick, such as [{LENGTH.text(most)}, {LENGTH.text(least)}]")
+        return value
+
+    @property
+    def limits(self) -> dict[str, str]:
+        """Keys under ``lens`` that stand at the machine's limit while the spec does not write them."""
+        return {"wall": LENGTH.text(self.wall), "max_slope": ANGLE.text(self.max_slope)}
+
+    @abstractmethod
+    def exporters(self) -> dict[str, dict[str, Any]]:
+        """Options that suit this machine, by type of exporter."""
+
+
+class Printer(Machine):
+    """Builds layer on layer."""
+
+    process: ClassVar[str] = "printing"
+
+    dpi: tuple[float, float] = Field(description="drops or pixels per inch along x and y")
+    layer: Length = Field(gt=0, le=1, description="height of a layer")
+    blur: Length = Field(ge=0, le=2, description="how far material spreads sideways: sigma of a Gaussian")
+    polish: Length = Field(
+        "0mm", validate_default=True, ge=0, le=5,
+        description="how far polishing or lacquer evens the surface out: sigma of a Gaussian; 0mm leaves it raw",
+    )  # fmt: skip
+
+    @field_validator("dpi")
+    @classmethod
+    def _has_pixels(cls, value: tuple[float, float]) -> tuple[float, float]:
+        if min(value) <= 0:
+            raise ValueError("must be two numbers above 0, such as [600, 300]")
+        return value
+
+    @property
+    def pixels_mm(self) -> tuple[float, float]:
+        """Width and height of a pixel, mm."""
+        return 25.4 / self.dpi[0], 25.4 / self.dpi[1]
+
+    def exporters(self) -> dict[str, dict[str, Any]]:
+        """Slices at the machine's own resolution."""
+        return {"slices": {"dpi_x": self.dpi[0], "dpi_y": self.dpi[1], "layer": LENGTH.text(self.layer)}}
+
+
+class Mill(Machine):
+    """Cuts with a rotating tool that comes from above."""
+
+    process: ClassVar[str] = "milling"
+
+    draft: Angle = Field(ge=0, lt=90, description="least angle between a wall and the tool's axis")
+    cutter: Literal["ball", "flat", "v"] = Field(description="form of the finishing cutter's end")
+    diameter: Length = Field(gt=0, description="of the cutter's widest part")
+    tip: Length = Field("0.2mm", validate_default=True, ge=0, description="diameter of a v cutter's tip")
+    angle: Angle = Field(
+        "30deg", validate_default=True, gt=0, lt=180, description="between a v cutter's flanks"
+    )
+    reach: Length = Field(gt=0, description="how deep it gets into a narrow hole before its holder touches")
+    spindle: int = Field(12000, ge=1, description="turns per minute")
+    feed: str = Field("1200mm/min", pattern=SPEED, description="while cutting")
+    plunge: str = Field("300mm/min", pattern=SPEED, description="straight down")
+
+    @property
+    def limits(self) -> dict[str, str]:
+        """As of every machine; the flank of the cutter and its reach count, too."""
+        steepest = ANGLE.text(min(self.max_slope, self.steepest_deg))
+        return {**super().limits, "max_slope": steepest, "relief": LENGTH.text(min(0.495 * self.reach, 9.9))}
+
+    @property
+    def steepest_deg(self) -> float:
+        """The steepest surface that the cutter's flank touches without cutting into it, degrees from the bed."""
+        return 90.0 - (self.angle / 2 if self.cutter == "v" else self.draft)
+
+    def step_mm(self, wall_mm: float) -> float:
+        """The highest step that a wall of this width takes up with the draft that the machine needs."""
+        return wall_mm / math.tan(math.radians(max(self.draft, 0.1)))
+
+    def exporters(self) -> dict[str, dict[str, Any]]:
+        """The cutter, its speeds and the machine's travel, for programs."""
+        cutter: dict[str, Any] = {"shape": self.cutter, "diameter": LENGTH.text(self.diameter)}
+        if self.cutter == "v":
+            cutter |= {"tip": LENGTH.text(self.tip), "angle": ANGLE.text(self.angle)}
+        options = {
+            "cutter": {**cutter, "reach": LENGTH.text(self.reach)},
+            "bed": [LENGTH.text(side) for side in self.bed[:2]],
+            "spindle": self.spindle,
+            "feed": self.feed,
+            "plunge": self.plunge,
+        }
+        return {"gcode": options, "rml": options}
+
+
+PROCESSES: Mapping[str, type[Machine]] = MappingProxyType({cls.process: cls for cls in (Printer, Mill)})
+
+
+class Profile(BaseModel):
+    """One entry of ``machines.yaml``: ``options`` are those of its process, ``lens`` and ``stages`` keys of a spec."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    title: str = Field(min_length=1, description="what it is, in words")
+    process: Literal["printing", "milling"]
+    source: str = Field(min_length=1, description="where the numbers come from")
+    options: dict[str, Any]
+    lens: dict[str, Any] = Field({}, description="spec keys under lens, where the spec does not write them")
+    stages: dict[str, dict[str, Any]] = Field({}, description="options of stages that suit it, by kind")
+
+    @property
+    def model(self) -> type[Machine]:
+        """The class of machines with this process."""
+        return PROCESSES[self.process]
+
+    def machine(self) -> Machine:
+        """The machine as it is listed."""
+        return self.model.model_validate(self.options)
+
+
+@cache
+def machines() -> Mapping[str, Profile]:
+    """Every machine by its name in specs."""
+    entries = read_data("machines.yaml").items()
+    return MappingProxyType({name: Profile.model_validate(entry) for name, entry in entries})

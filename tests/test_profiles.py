@@ -1,0 +1,206 @@
+"""Machines and materials: every entry is complete, and what a machine cannot do is not designed."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from jsonschema import Draft7Validator
+from pydantic import ValidationError
+from ruamel.yaml import YAML
+
+from magiclens.errors import InputError
+from magiclens.plan import Plan, describe, load_plan
+from magiclens.profiles.machines import Machine, Mill, Printer, machines
+from magiclens.profiles.materials import Material, materials
+from magiclens.registry import ART, SCENARIO, STAGE, Registry
+from magiclens.spec.schema import json_schema
+from magiclens.stages import KINDS
+
+SPEC = """\
+scenario: {type: single, source: {type: circles}, target: {art: panda}}
+lens: {size: 30mm, facets: 8}
+fabrication:
+  machine: milling
+pipeline:
+  exporters: [{type: stl}]
+"""
+
+Loader = Any
+
+
+@pytest.fixture
+def load(tmp_path: Path) -> Loader:
+    """Loads the spec above with replacements made in its text, and --set overrides."""
+
+    def loaded(*overrides: str, replace: tuple[str, str] = ("", "")) -> Plan:
+        path = tmp_path / "made.yaml"
+        path.write_text(SPEC.replace(*replace, 1))
+        return load_plan(path, overrides)
+
+    return loaded
+
+
+@pytest.mark.parametrize("name", ["acrylic", "photopolymer", "photopolymer-sla", "glass", "pdms", "polycarbonate"])
+def test_every_material_says_where_its_index_is_from(name: str) -> None:
+    material = materials()[name]
+    assert re.search(r"1\.[345]\d+", material.source), "the source has the number that was found there"
+    nearest = min((float(n) for n in re.findall(r"1\.\d+", material.source)), key=lambda n: abs(n - material.ior))
+    assert material.ior == pytest.approx(nearest, abs=0.01)
+    assert 0.9 < material.density < 3
+    assert material.price > 0
+
+
+@pytest.mark.parametrize("name", ["printing", "polyjet-600x300", "sla", "milling", "egx-600"])
+def test_every_machine_makes_a_lens_without_further_ado(name: str, load: Loader) -> None:
+    plan = load(replace=("milling", name))
+    profile = machines()[name]
+    assert plan.fabrication.machine == profile.machine()
+    assert plan.lens.ior == materials()[profile.lens["material"]].ior
+    assert plan.lens.max_slope_deg <= plan.fabrication.machine.max_slope
+    assert f"machine  {name}: {profile.title}" in describe(plan)
+
+
+def test_the_polyjet_printer_is_the_one_of_the_paper() -> None:
+    machine = machines()["polyjet-600x300"].machine()
+    assert isinstance(machine, Printer)
+    assert (machine.dpi, machine.layer) == ((600, 300), 0.027)
+    assert machine.pixels_mm == pytest.approx((0.04233, 0.08467), abs=1e-5)
+
+
+def test_a_mill_gets_upright_cells_and_walls_with_draft(load: Loader) -> None:
+    plan = load()
+    assert (plan.lens.cells, plan.lens.wall_mm) == ("vertical", 0.03)
+    assert plan.lens.thickness_mm + plan.lens.relief_mm <= 40
+    options = plan.integrator.stage.model_dump()
+    assert options["placement"] == "steps"
+    assert options["step_limit"] == pytest.approx(0.03 / 0.26795, rel=1e-3), "a wall of 15 degrees draft"
+    wider = load("lens.wall=0.1mm", "fabrication.draft=45deg").integrator.stage.model_dump()
+    assert wider["step_limit"] == pytest.approx(0.1, rel=1e-6)
+
+
+def test_a_spec_has_the_last_word_on_stages(load: Loader) -> None:
+    plan = load("pipeline.integrator={step_limit: 0.01mm}", "pipeline.annealer={type: metropolis}")
+    assert plan.integrator.stage.model_dump()["step_limit"] == 0.01
+    assert plan.integrator.stage.model_dump()["placement"] == "steps"
+    assert plan.annealer.stage.type == "metropolis"
+
+
+def test_what_a_scenario_needs_comes_before_what_suits_a_machine(load: Loader) -> None:
+    views = "scenario={type: multi-view, source: {type: circles}, views: [{target: {art: bat}, eye: {tilt: 10deg}}]}"
+    plan = load(views)
+    assert plan.matcher.stage.type == "multi-view"
+    options = plan.annealer.stage.model_dump()
+    assert (options["screening"], options["step_weight"]) == (1e-3, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("lens.cells=eye", "lens.cells: facets cut along eye rays overhang, which milling cannot reach; use vertical"),
+        ("lens.thickness=35mm", "lens.thickness: a relief of 9.9mm makes it 44.9mm high; milling makes at most 40mm"),
+        ("lens.thickness=12mm", "lens.thickness: at its thinnest the lens would be 2.1mm; milling needs at least 10mm"),
+        ("lens.max_slope=50deg", "lens.max_slope: milling can do 45deg at most, got 50deg"),
+        ("lens.wall=1um", "lens.wall: milling can do 0.03mm at least, got 0.001mm"),
+        ("lens.facets=20", "lens.facets: facets of 1.5mm are below the 2mm of milling; at most 15 fit"),
+        ("lens={size: 250mm, facets: 32}", "lens.size: milling can do 200mm at most, got 250mm"),
+        ("lens.relief=11mm", "lens.relief: the top may be 22mm deep, the cutter of milling reaches 20mm; at most 10mm"),
+        ("fabrication.machine=miling", "fabrication.machine: unknown machine 'miling'; did you mean 'milling'?"),
+        ("fabrication.layer=20um", "fabrication.layer: unknown key; choose one of: angle, bed, cutter"),
+        ("fabrication.tipp=20um", "fabrication.tipp: unknown key; did you mean 'tip'?"),
+        ("fabrication.reach=10", "fabrication.reach: 10 is a bare number; a length needs a unit, such as '10mm'"),
+        ("fabrication={tip: 1mm}", "fabrication.machine: this key is required; choose one of: egx-600, milling"),
+        ("fabrication=milling", "fabrication: expected a mapping such as {machine: printing}, got 'milling'"),
+        ("fabrication.thickness=[9mm, 8mm]", "fabrication.thickness: goes from thin to thick, such as [8mm, 9mm]"),
+        ("fabrication.feed=fast", "fabrication.feed: 'fast' is not allowed here; it must match"),
+    ],
+)
+def test_what_a_machine_cannot_do_is_named_with_its_limit(override: str, message: str, load: Loader) -> None:
+    with pytest.raises(InputError, match=re.escape(f"--set {override}: {message}")):
+        load(override)
+
+
+def test_a_cutter_that_is_short_or_blunt_makes_a_flatter_lens(load: Loader) -> None:
+    plan = load("fabrication.reach=10mm", "fabrication.angle=120deg")
+    assert (plan.lens.relief_mm, plan.lens.max_slope_deg) == (4.95, 30)
+
+
+def test_a_limit_that_a_file_breaks_is_named_with_its_line(load: Loader) -> None:
+    with pytest.raises(InputError, match=r"made.yaml:2: lens.cells: facets cut along"):
+        load(replace=("facets: 8", "facets: 8, cells: eye"))
+
+
+def test_options_of_a_machine_can_be_changed(load: Loader) -> None:
+    plan = load("fabrication={machine: sla, layer: 50um, price: 99}", "pipeline.exporters=[{type: slices}]")
+    assert (plan.fabrication.machine.layer, plan.fabrication.machine.price) == (0.05, 99)
+    assert plan.exporters[0].stage.model_dump() == {"dpi_x": 1016.0, "dpi_y": 1016.0, "layer": 0.05}
+
+
+def test_an_exporters_own_options_come_before_the_machines(load: Loader) -> None:
+    plan = load("fabrication={machine: sla}", "pipeline.exporters=[{type: slices, dpi_x: 300}]")
+    assert plan.exporters[0].stage.model_dump() == {"dpi_x": 300.0, "dpi_y": 1016.0, "layer": 0.025}
+
+
+@pytest.mark.parametrize("kind", ["gcode", "rml"])
+def test_programs_for_mills_are_for_the_machines_cutter(kind: str, load: Loader) -> None:
+    plan = load("fabrication.tip=0.15mm", "fabrication.spindle=9000", f"pipeline.exporters=[{{type: {kind}}}]")
+    options = plan.exporters[0].stage.model_dump()
+    assert (options["cutter"]["shape"], options["cutter"]["tip"]) == ("v", 0.15)
+    assert options["spindle"] == 9000
+
+
+def test_an_index_given_in_the_spec_replaces_the_machines_material(load: Loader) -> None:
+    assert load("lens.ior=1.6").lens.ior == 1.6
+    assert load("lens.material=glass").lens.ior == 1.523
+    assert load("lens.ior=null").lens.ior == 1.49
+
+
+def test_a_resolved_spec_has_the_machine_with_every_option_and_gives_the_same_plan(
+    load: Loader, tmp_path: Path
+) -> None:
+    plan = load("fabrication.tip=0.1mm")
+    resolved = plan.resolved()
+    assert resolved["fabrication"]["machine"] == "milling"
+    assert (resolved["fabrication"]["tip"], resolved["fabrication"]["reach"]) == ("0.1mm", "20mm")
+    YAML().dump(resolved, tmp_path / "again.yaml")
+    again = load_plan(tmp_path / "again.yaml")
+    assert (again.resolved(), again.lens, again.fabrication) == (resolved, plan.lens, plan.fabrication)
+
+
+def test_without_a_machine_nothing_changes(load: Loader) -> None:
+    plan = load(replace=("fabrication:\n  machine: milling\n", ""))
+    assert plan.fabrication is None
+    assert "fabrication" not in plan.resolved()
+    assert (plan.lens.cells, plan.lens.wall_mm, plan.lens.max_slope_deg) == ("eye", 0.0005, 60.0)
+
+
+@pytest.fixture(scope="module")
+def schema() -> dict[str, Any]:
+    registry = Registry.load()
+    stages = {kind: registry.classes(STAGE, kind) for kind in KINDS}
+    return json_schema(registry.classes(SCENARIO), stages, registry.types(ART))
+
+
+@pytest.mark.parametrize(
+    ("fabrication", "valid"),
+    [
+        ({"machine": "milling"}, True),
+        ({"machine": "sla", "layer": "50um", "dpi": [300, 300]}, True),
+        ({"machine": "milling", "layer": "50um"}, False),
+        ({"machine": "mil"}, False),
+        ({"layer": "50um"}, False),
+    ],
+)
+def test_the_schema_knows_machines(fabrication: dict[str, Any], valid: bool, schema: dict[str, Any]) -> None:
+    spec = {"scenario": {"type": "single", "source": {"type": "circles"}, "target": {"art": "panda"}}}
+    assert Draft7Validator(schema).is_valid({**spec, "fabrication": fabrication}) is valid
+
+
+@pytest.mark.parametrize("model", [Material, Printer, Mill])
+def test_entries_are_checked(model: type[Material] | type[Machine]) -> None:
+    with pytest.raises(ValidationError, match="Field required"):
+        model.model_validate({})
+    with pytest.raises(ValidationError, match="Extra inputs"):
+        model.model_validate({"colour": "blue"})
