@@ -18,7 +18,10 @@ OUTER = 2.5
 
 
 class StableZone(Scenario):
-    """The same picture for nine eyes in a circular cross: the middle, four on an inner and four on an outer cone."""
+    """The same picture for nine eyes in a circular cross: the middle, four on an inner and four on an outer cone.
+
+    The outer four stand on the diagonals, between the inner four, so that no direction is far from an eye.
+    """
 
     type: ClassVar[str] = "stable-zone"
 
@@ -37,9 +40,10 @@ class StableZone(Scenario):
         """The middle first; every eye is as far from the reference plane as the viewer."""
         middle = viewer.eye_mm(lens)
         eyes = {"centre": middle}
-        for ring, apex in (("inner", self.cone), ("outer", OUTER * self.cone)):
-            for k, name in enumerate(("right", "up", "left", "down")):
-                eyes[f"{ring}-{name}"] = middle + away(apex / 2, 90.0 * k, viewer.distance)
+        for k, name in enumerate(("right", "up", "left", "down")):
+            eyes[f"inner-{name}"] = middle + away(self.cone / 2, 90.0 * k, viewer.distance)
+        for k, name in enumerate(("up-right", "up-left", "down-left", "down-right")):
+            eyes[f"outer-{name}"] = middle + away(OUTER * self.cone / 2, 45.0 + 90.0 * k, viewer.distance)
         return tuple(Shot(name, self.source, self.target, eye) for name, eye in eyes.items())
 
 
