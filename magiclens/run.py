@@ -24,7 +24,7 @@ from magiclens.checks import (
     check_pictures,
     check_solid,
 )
-from magiclens.errors import StageError
+from magiclens.errors import InputError, StageError
 from magiclens.folder import appearing, save_heights
 from magiclens.manifest import (
     Scores,
@@ -167,7 +167,7 @@ def _make(plan: Plan, folder: Path, worker: _Worker) -> RunData:
     zone = _zone(plan, given, scene, rough, worker)
     if zone:
         metrics |= zone.metrics
-    hidden = None
+    hidden = matched = None
     if plan.encoder:
         from magiclens.encoding.leaks import leaks
         from magiclens.secrecy import secrecy
@@ -176,12 +176,15 @@ def _make(plan: Plan, folder: Path, worker: _Worker) -> RunData:
         metrics |= worker.part("leaks", partial(leaks, matrices, plan.lens.facets, given.reserved))
         metrics |= _changes(given, scene) | hidden.metrics
         _write_sources(given, folder, "given")
+    matched = None if plan.matcher.stage.looks else worker.part("matched lens", partial(_matched, scene))
     if plan.fabrication:
         metrics |= worker.part("as made", partial(_as_made, plan.fabrication.machine, shown, solid, folder))
     facts = manifest(plan, inputs, scene, metrics, _scores(shown, renders))
     worker.part("preflight", partial(_preflight, plan, facts, solid, folder))
     asked = shown if given is scene else plan.on_medium(given)
-    data = RunData(asked, shown, candidates, first, assignment, height_field, solid, renders, facts, zone, hidden)
+    data = RunData(
+        asked, shown, candidates, first, assignment, height_field, solid, renders, facts, zone, hidden, matched
+    )
     worker.part("report", partial(write_report, data, folder))
     return data
 
@@ -361,6 +364,17 @@ def _animate(scene: Scene, fps: float, seen: list[FloatArray], folder: Path) -> 
     for name, frames in (("sources", [resize(view.source, (side, side)) for view in scene.views]), ("seen", seen)):
         write_gif(folder / "animations" / f"{name}.gif", frames, fps)
         write_mp4(folder / "animations" / f"{name}.mp4", frames, fps)
+
+
+def _matched(scene: Scene) -> Assignment | None:
+    """Every facet at its best patch of the first source as it is now; None if some facet reaches no patch."""
+    from magiclens.matching.exhaustive import Exhaustive
+
+    try:
+        found = Exhaustive().match(replace(scene, views=scene.views[:1]), np.random.default_rng(0))
+    except InputError:
+        return None
+    return Assignment.pick(found, found.errors.argmin(axis=-1))
 
 
 def _as_made(machine: Machine, scene: Scene, solid: Solid, folder: Path) -> dict[str, float]:

@@ -21,13 +21,14 @@ from magiclens.report.annealed import SIDE, before_after, fine_slopes
 from magiclens.report.contact import MARK, marked, place
 from magiclens.report.data import RunData
 from magiclens.report.differences import difference, gridded
-from magiclens.report.overlap import coarse, faded, overlaps, seen
+from magiclens.report.overlap import FAINT, coarse, facets_that_look, faded, overlaps, seen
 from magiclens.report.photographs import photograph
 from magiclens.report.relief import relief, sample_heights, shadow
 from magiclens.report.scales import BLUE_TO_RED, DIVERGING, Scale
 from magiclens.report.sheet import GAP, LABELS, LINE, PAPER, Tile, display, sheet
 from magiclens.report.surface import wall_picture
 from magiclens.report.tables import measure, metric_rows
+from magiclens.report.warp import INK, facet_colours, tinted
 from magiclens.report.write import write_report
 from magiclens.run import run_plan
 from scenes import (
@@ -205,6 +206,22 @@ def overlaps_of(lens: Lens, assignment: Assignment, side: int) -> IntArray:
 def test_facets_that_see_their_own_places_cover_the_source_once() -> None:
     lens = small_lens(4, source=12.0)
     assert (overlaps_of(lens, assigned(np.zeros((4, 4, 2)), IDENTITY), 120) == 1).all()
+
+
+def test_a_source_pixel_knows_the_facet_that_sees_it() -> None:
+    lens = small_lens(2, source=12.0)
+    to = np.array([[[3.0, -3.0], [-3.0, 0.0]], [[0.0, 30.0], [0.0, 0.0]]])  # the third one looks beyond the source
+    facets = facets_that_look(lens, patches_seen(blank_scene(lens), assigned(to, IDENTITY), np.array(ABOVE)), 4)
+    assert facets.tolist() == [[-1] * 4, [-1, 1, -1, -1], [-1, -1, 3, -1], [-1] * 4]
+
+
+def test_pictures_take_the_tints_of_facets_and_what_nothing_sees_turns_grey() -> None:
+    colours = facet_colours(4)
+    assert len(np.unique(colours.round(3), axis=0)) == 16
+    facets = np.array([[5, 5, -1, -1]] * 4)
+    picture = tinted(np.ones((4, 4, 1), np.float32), facets, colours)
+    np.testing.assert_allclose(picture[0, 0], 255 * (1 - INK + INK * colours[5]), atol=1)
+    np.testing.assert_array_equal(picture[0, 1], FAINT[1])
 
 
 @pytest.mark.parametrize("signs", [(1, 1), (-1, 1), (1, -1), (-1, -1)])

@@ -68,7 +68,7 @@ def made(write_spec: SpecWriter, tmp_path: Path, text: str, out: str, *overrides
     return run_spec(write_spec(text=text), tmp_path / out, overrides)
 
 
-@pytest.mark.usefixtures("pictures", "without_report")
+@pytest.mark.usefixtures("pictures")
 def test_an_injective_lens_shows_every_frame_and_nothing_strays(write_spec: SpecWriter, tmp_path: Path) -> None:
     run = made(write_spec, tmp_path, SPEC, "out")
     metrics = run.manifest["metrics"]
@@ -78,6 +78,7 @@ def test_an_injective_lens_shows_every_frame_and_nothing_strays(write_spec: Spec
     assert run.manifest["views"][1]["psnr_db"] > 28
     pictures, targets = run.data.renders["tracer"], [view.target for view in run.data.scene.views]
     assert score(pictures[0], targets[1]).psnr_db < 12
+    assert {"overlap.png", "secrecy.png", "warp.png"} <= {path.name for path in (run.folder / "figures").iterdir()}
     for view in run.data.scene.views:  # what is written is what was rendered
         written = read_image(run.folder / "sources" / f"{view.source_name}.png")
         np.testing.assert_allclose(to_display(written), to_display(view.source), atol=0.501 / 255)

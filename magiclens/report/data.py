@@ -77,7 +77,8 @@ class RunData:
 
     given: the scene before an encoder edited its sources; ``scene`` itself if there is none. first: each facet's best
     candidate, what annealing started from. renders: by renderer type, one picture per view, (R, R, C) float32, linear.
-    zone: where all eyes shall see the same, what they see in between. secrecy: of painted sources.
+    zone: where all eyes shall see the same, what they see in between. secrecy: of painted sources. matched: how a lens
+    would look that were matched to the first painted source, to compare.
     """
 
     given: Scene
@@ -91,3 +92,4 @@ class RunData:
     manifest: Mapping[str, Any]
     zone: Zone | None = None
     secrecy: Secrecy | None = None
+    matched: Assignment | None = None

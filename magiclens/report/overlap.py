@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numba import njit
 
-from magiclens.artifacts import FloatArray, IntArray, Lens, View
+from magiclens.artifacts import Assignment, FloatArray, IntArray, Lens, Scene, View
 from magiclens.facets import Patches, patches_seen
 from magiclens.report.data import RunData
 from magiclens.report.figure import Figure
@@ -35,6 +35,8 @@ def overlap_map(data: RunData) -> Figure:
     together = f" for {len(each)} eyes" if len(each) > 1 else ""
     caption = f"at most {counts.max()}{together}; {np.mean(fine > 0):.0%} of the source is seen"
     tiles = [Tile(scale.paint(counts), "How many facets see each point", caption, scale)]
+    if data.matched:
+        tiles.append(_matched(data.scene, data.matched))
     for name in dict.fromkeys(view.source_name for view in views):
         of_source = [k for k, view in enumerate(views) if view.source_name == name]
         shown = seen([views[k] for k in of_source], [coarse(each[eyes[k]]) for k in of_source])
@@ -48,17 +50,37 @@ def overlap_map(data: RunData) -> Figure:
     )
 
 
+def _matched(scene: Scene, matched: Assignment) -> Tile:
+    """The heat map of a lens whose facets may look anywhere, on a scale of its own, as it sees much more often."""
+    patches = patches_seen(scene, matched, scene.views[0].in_lens_frame().eye_mm)
+    fine = overlaps(scene.lens, patches, FINER * SIDE)
+    counts = coarse(fine)
+    scale = Scale(BLUE_TO_RED, 0.0, float(counts.max()), whole=True)
+    caption = f"at most {counts.max()}; {np.mean(fine > 0):.0%} of the source is seen"
+    return Tile(scale.paint(counts), "A lens matched to the first source", caption, scale)
+
+
 def overlaps(lens: Lens, patches: Patches, side: int) -> IntArray:
     """(side, side) int32, lens frame, row 0 at +y: through how many facets the centre of each source pixel is seen."""
     landings, maps = patches.landings_mm.reshape(-1, 2), np.ascontiguousarray(patches.maps.reshape(-1, 4))
-    counts: IntArray = _overlaps(landings, maps, lens.pitch_mm / 2, lens.source_size_mm, side)
+    counts: IntArray = _overlaps(landings, maps, lens.pitch_mm / 2, lens.source_size_mm, side)[0]
     return counts
+
+
+def facets_that_look(lens: Lens, patches: Patches, side: int) -> IntArray:
+    """(side, side) int32, as ``overlaps``: the facet through which each source pixel is seen, row * N + column, or -1.
+
+    Where several do, the last of them.
+    """
+    landings, maps = patches.landings_mm.reshape(-1, 2), np.ascontiguousarray(patches.maps.reshape(-1, 4))
+    facets: IntArray = _overlaps(landings, maps, lens.pitch_mm / 2, lens.source_size_mm, side)[1]
+    return facets
 
 
 @njit(cache=True)
 def _overlaps(patches, maps, half, size, side):
     """Patches are the images of a facet's square under its map: p is in it if M^-1 (p - centre) is in the square."""
-    counts = np.zeros((side, side), np.int32)
+    counts, last = np.zeros((side, side), np.int32), np.full((side, side), -1, np.int32)
     pixel = size / side
     for f in range(len(patches)):
         xx, xy, yx, yy = maps[f]
@@ -73,7 +95,8 @@ def _overlaps(patches, maps, half, size, side):
                 u, v = (yy * x - xy * y) / determinant, (xx * y - yx * x) / determinant
                 if -half <= u < half and -half <= v < half:
                     counts[r, c] += 1
-    return counts
+                    last[r, c] = f
+    return counts, last
 
 
 def coarse(counts: IntArray) -> IntArray:

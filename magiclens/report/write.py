@@ -14,6 +14,7 @@ from magiclens.report.photographs import photographs
 from magiclens.report.secrecy import secrecy_map
 from magiclens.report.sheet import sheet
 from magiclens.report.surface import height_map, step_map
+from magiclens.report.warp import warp_map
 from magiclens.report.zone import zone_figures
 
 
@@ -23,6 +24,7 @@ def write_report(data: RunData, folder: Path) -> None:
     figures = [
         contact_sheet(data, seen),
         *(zone_figures(data, data.zone) if data.zone else []),
+        *([warp_map(data)] if data.matched else []),
         *([secrecy_map(data, data.secrecy)] if data.secrecy else []),
         *(error_map(name, photos, scene.views, scene.lens.facets) for name, photos in list(seen.items())[:1]),
         height_map(data.height_field),
