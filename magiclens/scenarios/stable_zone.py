@@ -13,7 +13,7 @@ from magiclens.scenarios.pictures import Source, Target
 from magiclens.spec.model import Choice, Viewer
 from magiclens.units import Angle
 
-OUTER = 2.5
+OUTER = 3.5
 """The outer cone is so much wider than the inner one; a wider one evens out the inner one's quality and lowers it."""
 
 
@@ -29,7 +29,7 @@ class StableZone(Scenario):
     target: Target = Field(description="what all eyes shall see")
     cone: Angle = Field(
         "1.15deg", validate_default=True, gt=0, lt=60,
-        description="apex of the inner viewing cone; the outer one is 2.5 times as wide",
+        description="apex of the inner viewing cone; the outer one is 3.5 times as wide",
     )
 
     def suited(self) -> dict[str, Choice]:
