@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
-from magiclens.artifacts import FloatArray, IntArray, Solid
+from magiclens.artifacts import FloatArray, Solid
 from magiclens.profiles.machines import Printer
+from magiclens.slab import border, slab
 
 MOST_POINTS = 8_000_000
 """Points of the printed surface; on large lenses pixels are joined to stay below."""
@@ -30,20 +31,8 @@ def printed(solid: Solid, printer: Printer) -> Solid:
     spread = math.hypot(printer.blur, printer.polish)
     sigmas = spread / (y[1] - y[0]), spread / (x[1] - x[0])
     even = gaussian_filter(layers, sigmas, mode="nearest") if spread > 0 else layers
-    return slab(x, y[::-1], even)
-
-
-def slab(x: FloatArray, y: FloatArray, z: FloatArray) -> Solid:
-    """The closed solid from z = 0 to a top with heights (rows, columns) at x (columns,), y (rows,) descending, mm."""
-    rows, columns = z.shape
-    across, up = np.meshgrid(x, y)
-    top = np.stack([across, up, z], axis=-1).reshape(-1, 3)
-    index = np.arange(rows * columns).reshape(rows, columns)
-    rim = np.concatenate([index[:-1, 0], index[-1, :-1], index[:0:-1, -1], index[0, :0:-1]])
-    floor = top[rim] * (1, 1, 0)
-    middle = np.array([[(x[0] + x[-1]) / 2, (y[0] + y[-1]) / 2, 0.0]])
-    faces = np.concatenate([_tops(index), _sides(rim, rows * columns)]).astype(np.int32)
-    return Solid(np.concatenate([top, floor, middle]), faces, (rows, columns), None)
+    top = np.stack([*np.meshgrid(x, y[::-1]), even], axis=-1)
+    return slab(top, top.reshape(-1, 3)[border(*even.shape)] * (1, 1, 0))
 
 
 def _pixels(solid: Solid, printer: Printer) -> tuple[float, float]:
@@ -60,16 +49,3 @@ def _middles(solid: Solid, axis: int, pixel: float) -> FloatArray:
     count = max(int((high - low) / pixel), 2)
     middles: FloatArray = (low + high) / 2 + (np.arange(count) - (count - 1) / 2) * pixel
     return middles
-
-
-def _tops(index: IntArray) -> IntArray:
-    tl, tr, bl, br = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
-    return np.stack([tl, bl, br, tl, br, tr], axis=-1).reshape(-1, 3)
-
-
-def _sides(rim: IntArray, first: int) -> IntArray:
-    """Two triangles between each edge of the rim and the floor below it, and the floor, a fan about its middle."""
-    low = first + np.arange(len(rim))
-    after, low_after = np.roll(rim, -1), np.roll(low, -1)
-    walls = [np.stack([rim, low, low_after], axis=-1), np.stack([rim, low_after, after], axis=-1)]
-    return np.concatenate([*walls, np.stack([low, np.full_like(low, first + len(rim)), low_after], axis=-1)])

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from magiclens.artifacts import FloatArray, HeightField, IntArray, Lens, Solid
+from magiclens.artifacts import FloatArray, HeightField, Lens, Solid
+from magiclens.slab import border, slab
 
 
 def grid_lines(lens: Lens) -> FloatArray:
@@ -40,13 +43,10 @@ def solid_from_heights(heights: HeightField) -> Solid:
     h = height_grid(heights)
     u, v = np.meshgrid(lines, -lines)
     top = heights.points_mm(u, v, h)
-    rim = _rim(len(lines))
+    rim = border(*h.shape)
     floor = _spread(_drop(heights.points_mm(u, v, np.zeros_like(h)).reshape(-1, 3)[rim], eye), lens.floor_mm / 2)
-    vertices = np.concatenate([top.reshape(-1, 3), floor, floor.mean(axis=0, keepdims=True)])
-    first = len(lines) ** 2
-    faces = np.concatenate([_top_faces(len(lines)), _side_faces(rim, first), _floor_faces(rim, first)])
-    solid = Solid(vertices, faces.astype(np.int32), h.shape, eye)
-    return Solid(vertices, solid.faces, h.shape, eye, {"volume_mm3": volume(solid)})
+    solid = slab(top, floor, eye)
+    return replace(solid, metrics={"volume_mm3": volume(solid)})
 
 
 def heights_of(solid: Solid, lens: Lens) -> FloatArray | None:
@@ -89,27 +89,3 @@ def _spread(floor: FloatArray, half: float) -> FloatArray:
     out: FloatArray = to_low + (floor - low) / wide * (to_high - to_low)
     out[:, 2] = floor[:, 2]
     return out
-
-
-def _rim(g: int) -> IntArray:
-    """Indices of the grid's border vertices, counter-clockwise as the viewer sees them."""
-    index = np.arange(g * g).reshape(g, g)
-    return np.concatenate([index[:-1, 0], index[-1, :-1], index[:0:-1, -1], index[0, :0:-1]])
-
-
-def _top_faces(g: int) -> IntArray:
-    index = np.arange(g * g).reshape(g, g)
-    tl, tr, bl, br = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
-    return np.stack([tl, bl, br, tl, br, tr], axis=-1).reshape(-1, 3)
-
-
-def _side_faces(rim: IntArray, first: int) -> IntArray:
-    """Two triangles between each border edge and the floor edge below it (floor vertices start at ``first``)."""
-    low = first + np.arange(len(rim))
-    a, b, c, d = rim, np.roll(rim, -1), low, np.roll(low, -1)
-    return np.concatenate([np.stack([a, c, d], axis=-1), np.stack([a, d, b], axis=-1)])
-
-
-def _floor_faces(rim: IntArray, first: int) -> IntArray:
-    low = first + np.arange(len(rim))
-    return np.stack([low, np.full_like(low, first + len(rim)), np.roll(low, -1)], axis=-1)

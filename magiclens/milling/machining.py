@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from magiclens.artifacts import FloatArray, IntArray, Solid
+from magiclens.artifacts import FloatArray, Solid
 from magiclens.errors import InputError
 from magiclens.fabrication.relief import top_relief
 from magiclens.milling.border import Rectangle, inner, outer, top_of
@@ -25,6 +25,7 @@ from magiclens.milling.program import Facts, Program
 from magiclens.milling.rml import Rml, parse_rml
 from magiclens.milling.sheet import program_facts
 from magiclens.milling.sweep import swept
+from magiclens.slab import border, slab
 
 PER_STEPOVER = 4
 """Rows of the simulated surface from one line to the next: enough to see what the ridges refract."""
@@ -260,24 +261,7 @@ def faults(program: Program, bed_mm: tuple[float, float] | None = None) -> list[
 
 def _solid(x_mm: FloatArray, y_mm: FloatArray, z_mm: FloatArray, floor_mm: float) -> Solid:
     """The lens under a machined top, with vertical cells, on a square floor of side ``floor_mm`` at least."""
-    x, y = np.meshgrid(x_mm, y_mm)
-    top = np.stack([x, y, z_mm], axis=-1).reshape(-1, 3)
-    index = np.arange(len(top), dtype=np.int32).reshape(z_mm.shape)
-    rim = np.concatenate([index[:-1, 0], index[-1, :-1], index[:0:-1, -1], index[0, :0:-1]])
-    half = np.abs(top[rim, :2]).max(axis=0)
-    floor = top[rim] * (*np.maximum(floor_mm / 2 / half, 1.0), 0.0)
-    low = len(top) + np.arange(len(rim), dtype=np.int32)
-    fan = np.stack([low, np.full_like(low, low[-1] + 1), np.roll(low, -1)], axis=-1)
-    faces = np.concatenate([_top_faces(index), _side_faces(rim, low), fan])
-    return Solid(np.concatenate([top, floor, np.zeros((1, 3))]), faces, z_mm.shape, None)
-
-
-def _top_faces(index: IntArray) -> IntArray:
-    """Every cell cut from its top-left to its bottom-right corner."""
-    tl, tr, bl, br = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
-    return np.stack([tl, bl, br, tl, br, tr], axis=-1).reshape(-1, 3)
-
-
-def _side_faces(rim: IntArray, low: IntArray) -> IntArray:
-    a, b, c, d = rim, np.roll(rim, -1), low, np.roll(low, -1)
-    return np.concatenate([np.stack([a, c, d], axis=-1), np.stack([a, d, b], axis=-1)])
+    top = np.stack([*np.meshgrid(x_mm, y_mm), z_mm], axis=-1)
+    rim = top.reshape(-1, 3)[border(*z_mm.shape)]
+    half = np.abs(rim[:, :2]).max(axis=0)
+    return slab(top, rim * (*np.maximum(floor_mm / 2 / half, 1.0), 0.0))

@@ -62,9 +62,7 @@ def _matched(scene: Scene, matched: Assignment) -> Tile:
 
 def overlaps(lens: Lens, patches: Patches, side: int) -> IntArray:
     """(side, side) int32, lens frame, row 0 at +y: through how many facets the centre of each source pixel is seen."""
-    landings, maps = patches.landings_mm.reshape(-1, 2), np.ascontiguousarray(patches.maps.reshape(-1, 4))
-    counts: IntArray = _overlaps(landings, maps, lens.pitch_mm / 2, lens.source_size_mm, side)[0]
-    return counts
+    return _counted(lens, patches, side)[0]
 
 
 def facets_that_look(lens: Lens, patches: Patches, side: int) -> IntArray:
@@ -72,9 +70,13 @@ def facets_that_look(lens: Lens, patches: Patches, side: int) -> IntArray:
 
     Where several do, the last of them.
     """
+    return _counted(lens, patches, side)[1]
+
+
+def _counted(lens: Lens, patches: Patches, side: int) -> tuple[IntArray, IntArray]:
     landings, maps = patches.landings_mm.reshape(-1, 2), np.ascontiguousarray(patches.maps.reshape(-1, 4))
-    facets: IntArray = _overlaps(landings, maps, lens.pitch_mm / 2, lens.source_size_mm, side)[1]
-    return facets
+    counts, last = _overlaps(landings, maps, lens.pitch_mm / 2, lens.source_size_mm, side)
+    return counts, last
 
 
 @njit(cache=True)
@@ -114,5 +116,10 @@ def seen(views: Sequence[View], counts: Sequence[IntArray]) -> IntArray:
 def faded(source: FloatArray, counts: IntArray) -> Pixels:
     """(S, S, 3): a source (H, W, C) in linear light, faint where its counts (S, S) are 0."""
     picture = display(source, len(counts)).astype(np.float32)
-    faint = FAINT[0] + picture.mean(axis=-1, keepdims=True) / 255 * (FAINT[1] - FAINT[0])
-    return np.asarray(np.where(counts[..., None] > 0, picture, faint), np.uint8)
+    return np.asarray(np.where(counts[..., None] > 0, picture, faint(picture)), np.uint8)
+
+
+def faint(picture: FloatArray) -> FloatArray:
+    """(S, S, 3) display values, 0 to 255: a picture's greys between the two of ``FAINT``."""
+    pale: FloatArray = FAINT[0] + picture.mean(axis=-1, keepdims=True) / 255 * (FAINT[1] - FAINT[0])
+    return pale

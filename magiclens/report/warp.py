@@ -10,7 +10,7 @@ from magiclens.artifacts import FloatArray, HeightField, IntArray
 from magiclens.facets import patches_seen
 from magiclens.report.data import RunData
 from magiclens.report.figure import Figure
-from magiclens.report.overlap import FAINT, facets_that_look
+from magiclens.report.overlap import facets_that_look, faint
 from magiclens.report.relief import relief, sample_heights
 from magiclens.report.scales import Pixels
 from magiclens.report.sheet import FINER, Tile, display, shrunk
@@ -54,8 +54,7 @@ def tinted(linear: FloatArray, facets: IntArray, colours: FloatArray) -> Pixels:
     """(S, S, 3): a picture (H, W, C), linear light, in colours (F, 3) of facets (FINER S, FINER S); grey at -1."""
     picture = display(linear, len(facets)).astype(np.float32)
     washed = picture * (1 - INK) + 255 * colours[facets] * INK
-    faint = FAINT[0] + picture.mean(axis=-1, keepdims=True) / 255 * (FAINT[1] - FAINT[0])
-    return np.rint(shrunk(np.where(facets[..., None] < 0, faint, washed))).astype(np.uint8)
+    return np.rint(shrunk(np.where(facets[..., None] < 0, faint(picture), washed))).astype(np.uint8)
 
 
 def _cast(field: HeightField, turns: int) -> Pixels:
