@@ -28,7 +28,7 @@ COARSE_TILE_PX = 12
 """Tiles are laid at the coarsest size, halving, at which they still have this many pixels per side."""
 OVERLAP = 4
 """Neighbouring tiles share one part in this many."""
-TILE_TRIES = 4000
+TILE_TRIES = 1500
 REUSE_COST = 0.5
 """Cost of laying a part of the example once more than others are laid on average, in variances of the example."""
 REACH = 3
