@@ -19,14 +19,31 @@ if TYPE_CHECKING:
         View,
     )
     from magiclens.errors import InputError, MagicLensError, StageError
-    from magiclens.hookspecs import hookimpl
+    from magiclens.executors import Executor, raising
+    from magiclens.facets import central_slopes
+    from magiclens.hookspecs import CONTRACT, hookimpl
+    from magiclens.images import Score, resize, score, to_display, to_linear
+    from magiclens.matching.exhaustive import Exhaustive
+    from magiclens.matching.polished import polished
     from magiclens.plan import Plan, load_plan
-    from magiclens.run import Run, run_plan, run_spec
+    from magiclens.running import Run, run, run_plan, run_spec
     from magiclens.scenarios.base import Scenario, Shot
     from magiclens.scenarios.pictures import Source, Target
     from magiclens.spec.load import load_spec
     from magiclens.spec.model import Spec, Viewer
-    from magiclens.stages import Annealer, Exporter, Finisher, Integrator, Matcher, Progress, Renderer, Stage, silent
+    from magiclens.stages import (
+        Annealer,
+        Encoder,
+        Exporter,
+        Finisher,
+        Integrator,
+        Matcher,
+        Progress,
+        Renderer,
+        Stage,
+        silent,
+    )
+    from magiclens.traced import transports
     from magiclens.units import Angle, Fraction, Length, LengthOrPercent, relative
 
 __version__ = "0.1.0"
@@ -34,23 +51,33 @@ __version__ = "0.1.0"
 _HOMES = {
     "artifacts": "Assignment Candidates FloatArray HeightField IntArray Lens Scene Solid Transport View",
     "errors": "InputError MagicLensError StageError",
-    "hookspecs": "hookimpl",
+    "executors": "Executor raising",
+    "facets": "central_slopes",
+    "hookspecs": "CONTRACT hookimpl",
+    "images": "Score resize score to_display to_linear",
+    "matching.exhaustive": "Exhaustive",
+    "matching.polished": "polished",
     "plan": "Plan load_plan",
-    "run": "Run run_plan run_spec",
+    "running": "Run run run_plan run_spec",
     "scenarios.base": "Scenario Shot",
     "scenarios.pictures": "Source Target",
     "spec.load": "load_spec",
     "spec.model": "Spec Viewer",
-    "stages": "Annealer Exporter Finisher Integrator Matcher Progress Renderer Stage silent",
+    "stages": "Annealer Encoder Exporter Finisher Integrator Matcher Progress Renderer Stage silent",
+    "traced": "transports",
     "units": "Angle Fraction Length LengthOrPercent relative",
 }
 _HOME_OF = {name: f"magiclens.{home}" for home, names in _HOMES.items() for name in names.split()}
 
 __all__ = [
+    "CONTRACT",
     "Angle",
     "Annealer",
     "Assignment",
     "Candidates",
+    "Encoder",
+    "Executor",
+    "Exhaustive",
     "Exporter",
     "Finisher",
     "FloatArray",
@@ -70,6 +97,7 @@ __all__ = [
     "Run",
     "Scenario",
     "Scene",
+    "Score",
     "Shot",
     "Solid",
     "Source",
@@ -80,13 +108,22 @@ __all__ = [
     "Transport",
     "View",
     "Viewer",
+    "central_slopes",
     "hookimpl",
     "load_plan",
     "load_spec",
+    "polished",
+    "raising",
     "relative",
+    "resize",
+    "run",
     "run_plan",
     "run_spec",
+    "score",
     "silent",
+    "to_display",
+    "to_linear",
+    "transports",
 ]
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ BoolArray = NDArray[np.bool_]
 
 
 class _ReadOnly:
-    """Mixin: arrays of a frozen dataclass are made read-only, mappings are made immutable."""
+    """Mixin: arrays of a frozen dataclass are made read-only, mappings immutable, wherever it is sent."""
 
     def __post_init__(self) -> None:
         for f in fields(self):  # type: ignore[arg-type]
@@ -35,6 +35,11 @@ class _ReadOnly:
                 value.flags.writeable = False
             elif isinstance(value, dict):
                 object.__setattr__(self, f.name, MappingProxyType(dict(value)))
+
+    def __reduce__(self) -> tuple[type[Any], tuple[Any, ...]]:
+        """Pickled as its fields, so that it can be sent to other processes and is read-only there too."""
+        values = (getattr(self, f.name) for f in fields(self))  # type: ignore[arg-type]
+        return type(self), tuple(dict(v) if isinstance(v, MappingProxyType) else v for v in values)
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from magiclens.hookspecs import hookimpl
 
 if TYPE_CHECKING:
     from magiclens.artifacts import FloatArray
+    from magiclens.executors import Executor
     from magiclens.scenarios.base import Scenario
     from magiclens.stages import Stage
 
@@ -58,6 +59,14 @@ def mlens_scenarios() -> Sequence[type[Scenario]]:
     from magiclens.scenarios.universal_animation import UniversalAnimation
 
     return [Single, Rotating, MultiPair, MultiView, StableZone, UniversalAnimation, QuestionAnswer]
+
+
+@hookimpl
+def mlens_executors() -> Sequence[type[Executor]]:
+    """Every built-in executor."""
+    from magiclens.executors import Processes, Serial
+
+    return [Serial, Processes]
 
 
 @hookimpl

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import sys
 import traceback as tracebacks
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
@@ -14,17 +15,16 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import typer
 
 import magiclens
-from magiclens.errors import MagicLensError
+from magiclens.errors import MagicLensError, Terminated
 
 if TYPE_CHECKING:
-    from magiclens.run import Run
+    from magiclens.running import Run
 
 app = typer.Typer(
     name="mlens",
     help="Design magic lenses: clear slabs that reveal a hidden picture in another one.",
     epilog="Exit codes: 0 done; 1 a stage or a plugin failed; 2 the input is wrong.",
     no_args_is_help=True,
-    add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
@@ -40,14 +40,44 @@ Overrides = Annotated[
         help="Change a value, such as lens.facets=64 or scenario.targets.0.art=bat; again for more.",
     ),
 ]
+Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing; the exit code says it.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON and nothing else.")]
 Traceback = Annotated[bool, typer.Option("--traceback", help="Show where in the program an error came from.")]
 
 
+def _scenarios(incomplete: str) -> list[str]:
+    """For shells that complete what is typed."""
+    from magiclens.new.layouts import LAYOUTS
+
+    return [name for name in LAYOUTS if name.startswith(incomplete)]
+
+
+def _executors(incomplete: str) -> list[str]:
+    """For shells that complete what is typed."""
+    from magiclens.registry import EXECUTOR, Registry
+
+    return [name for name in Registry.load().types(EXECUTOR) if name.startswith(incomplete)]
+
+
 @app.callback(invoke_without_command=True)
-def _top(version: Annotated[bool, typer.Option("--version", help="Show the version and exit.")] = False) -> None:
+def _top(
+    version: Annotated[bool, typer.Option("--version", help="Show the version and exit.")] = False,
+    disabled: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--disable-plugin",
+            metavar="NAME",
+            help="Leave a plugin alone, by package or entry point name; again for more. Or set MLENS_DISABLE_PLUGINS.",
+            show_default=False,
+        ),
+    ] = None,
+) -> None:
     if version:
         typer.echo(magiclens.__version__)
         raise typer.Exit
+    if disabled:  # in the environment, so that processes of ours leave them alone too
+        known = os.environ.get("MLENS_DISABLE_PLUGINS", "")
+        os.environ["MLENS_DISABLE_PLUGINS"] = ",".join([known, *disabled])
 
 
 @app.command()
@@ -57,59 +87,186 @@ def run(
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="The run folder.", show_default="out/NAME")
     ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Show neither progress nor summary.")] = False,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
     traceback: Traceback = False,
 ) -> None:
     """Design the lens of SPEC and write a run folder: mesh, source, simulated photographs, manifest."""
     with _reporting(traceback):
         from magiclens.observers import Observer, watching
-        from magiclens.run import run_spec
+        from magiclens.running import run_spec
 
         signal.signal(signal.SIGTERM, _terminated)
-        done = run_spec(spec, out, overrides, Observer() if quiet else watching(sys.stderr))
-        if not quiet:
-            typer.echo(_summary(done))
+        done = run_spec(spec, out, overrides, Observer() if quiet or as_json else watching(sys.stderr))
+        _say(lambda: _summary(done), lambda: {"folder": str(done.folder), **done.manifest}, quiet, as_json)
 
 
 @app.command()
-def check(spec: SpecFile, overrides: Overrides, traceback: Traceback = False) -> None:
+def new(
+    scenario: Annotated[
+        str,
+        typer.Argument(
+            metavar="SCENARIO", help="single, rotating, ...", show_default=False, autocompletion=_scenarios
+        ),
+    ],
+    pictures: Annotated[
+        list[Path], typer.Argument(metavar="PICTURES", help="What the lens shall show.", show_default=False)
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="SPEC", help="The spec to write.", show_default=False)],
+    source: Annotated[
+        Path | None, typer.Option("--source", metavar="PICTURE", help="What lies below the lens, instead of discs.")
+    ] = None,
+    questions: Annotated[
+        list[str] | None,
+        typer.Option("--question", metavar="TEXT", help="For question-answer: one per picture.", show_default=False),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Write over a file that is there.")] = False,
+    traceback: Traceback = False,
+) -> None:
+    """Write a commented spec for your own PICTURES, with contrast, polarity, window and facets that suit them."""
+    with _reporting(traceback):
+        from magiclens.new.write import new_spec
+
+        new_spec(scenario, pictures, out, source, questions or (), force)
+        typer.echo(f"{out}: written. Read it, change what you like, then: mlens run {out}")
+
+
+@app.command()
+def check(
+    spec: SpecFile, overrides: Overrides, quiet: Quiet = False, as_json: AsJson = False, traceback: Traceback = False
+) -> None:
     """Check SPEC without running it."""
     with _reporting(traceback):
         from magiclens.plan import load_plan
 
         plan = load_plan(spec, overrides)
-        shots = plan.scenario.shots(plan.lens, plan.spec.viewer)
-        typer.echo(f"{spec}: ok, {plan.scenario.type}, views: {', '.join(shot.name for shot in shots)}")
+        scenario, views = plan.scenario.type, [shot.name for shot in plan.shots()]
+        facts = {"spec": str(spec), "name": plan.spec.name, "scenario": scenario, "views": views}
+        _say(lambda: f"{spec}: ok, {scenario}, views: {', '.join(views)}", lambda: facts, quiet, as_json)
 
 
 @app.command()
-def plan(spec: SpecFile, overrides: Overrides, traceback: Traceback = False) -> None:
+def plan(spec: SpecFile, overrides: Overrides, as_json: AsJson = False, traceback: Traceback = False) -> None:
     """Show the compiled pipeline of SPEC with every option."""
     with _reporting(traceback):
         from magiclens.plan import describe, load_plan
 
-        typer.echo(describe(load_plan(spec, overrides)))
+        found = load_plan(spec, overrides)
+        _say(lambda: describe(found), found.resolved, as_json=as_json)
 
 
 @app.command()
-def plugins() -> None:
+def plugins(as_json: AsJson = False) -> None:
     """List every stage, scenario and picture that is installed, and plugins that failed to load."""
-    from magiclens.listing import describe_plugins
-    from magiclens.registry import Registry
+    with _reporting(False):
+        from magiclens.listing import describe_plugins, plugin_facts
+        from magiclens.registry import Registry
 
-    typer.echo(describe_plugins(Registry.load()))
+        registry = Registry.load()
+        _say(lambda: describe_plugins(registry), lambda: plugin_facts(registry), as_json=as_json)
 
 
 @app.command()
 def schema() -> None:
     """Print the JSON Schema (draft 7) of specs, for editors."""
-    from magiclens.registry import ART, SCENARIO, STAGE, Registry
-    from magiclens.spec.schema import json_schema
-    from magiclens.stages import KINDS
+    with _reporting(False):
+        from magiclens.registry import ART, SCENARIO, STAGE, Registry
+        from magiclens.spec.schema import json_schema
+        from magiclens.stages import KINDS
 
-    registry = Registry.load()
-    stages = {kind: registry.classes(STAGE, kind) for kind in KINDS}
-    typer.echo(json.dumps(json_schema(registry.classes(SCENARIO), stages, registry.types(ART)), indent=2))
+        registry = Registry.load()
+        stages = {kind: registry.classes(STAGE, kind) for kind in KINDS}
+        typer.echo(json.dumps(json_schema(registry.classes(SCENARIO), stages, registry.types(ART)), indent=2))
+
+
+Settings = Annotated[
+    list[str],
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUES",
+        default_factory=list,
+        show_default=False,
+        help="Values to try, such as lens.facets=16,32,64; again for more keys. [a, b] is one value.",
+    ),
+]
+ExecutorName = Annotated[
+    str,
+    typer.Option(
+        "--executor",
+        metavar="NAME",
+        help="Who does the work: serial, processes, or a plugin's.",
+        autocompletion=_executors,
+    ),
+]
+ExecutorSettings = Annotated[
+    list[str],
+    typer.Option(
+        "--executor-set",
+        metavar="KEY=VALUE",
+        default_factory=list,
+        show_default=False,
+        help="An option of the executor, such as workers=2; again for more.",
+    ),
+]
+
+
+
+@app.command()
+def sweep(
+    spec: SpecFile,
+    settings: Settings,
+    executor_settings: ExecutorSettings,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="The sweep's folder.", show_default="out/NAME-sweep")
+    ] = None,
+    executor: ExecutorName = "serial",
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+    traceback: Traceback = False,
+) -> None:
+    """Run SPEC with every combination of some values, and compare them on one sheet.
+
+    Combinations that are finished are not run again. Exit code 1: some failed, the sheet says why.
+    """
+    with _reporting(traceback):
+        from magiclens.registry import Registry
+        from magiclens.sweep.sweeping import sweep_spec
+        from magiclens.sweep.table import as_text, facts
+        from magiclens.tasks import choose_executor
+
+        signal.signal(signal.SIGTERM, _terminated)
+        registry = Registry.load()
+        worker = choose_executor(executor, executor_settings, registry)
+        say = (lambda _: None) if quiet or as_json else _note
+        done = sweep_spec(spec, settings, out, worker, registry, say)
+        _say(lambda: as_text(done), lambda: facts(done), quiet, as_json)
+        if done.failed:
+            raise typer.Exit(1)
+
+
+@app.command()
+def gallery(
+    executor_settings: ExecutorSettings,
+    listed: Annotated[
+        Path, typer.Argument(metavar="[LIST]", help="The gallery's list, a YAML file.")
+    ] = Path("gallery", "gallery.yaml"),
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="The site's folder.")] = Path("out", "gallery"),
+    small: Annotated[bool, typer.Option("--quick", help="Smaller lenses, as the list says.")] = False,
+    executor: ExecutorName = "processes",
+    quiet: Quiet = False,
+    traceback: Traceback = False,
+) -> None:
+    """Build a static site of all lenses on LIST, with the documentation. What is up to date is not made again."""
+    with _reporting(traceback):
+        from magiclens.gallery.build import build_gallery
+        from magiclens.registry import Registry
+        from magiclens.tasks import choose_executor
+
+        signal.signal(signal.SIGTERM, _terminated)
+        registry = Registry.load()
+        worker = choose_executor(executor, executor_settings, registry)
+        commands = vars(typer.main.get_command(app))["commands"]
+        build_gallery(listed, out, worker, registry, commands, small, (lambda _: None) if quiet else _note)
 
 
 RunFolder = Annotated[Path, typer.Argument(metavar="RUN_DIR", help="A finished run folder.", show_default=False)]
@@ -162,24 +319,65 @@ def decode(
 
 
 @app.command()
-def preflight(run_dir: RunFolder, traceback: Traceback = False) -> None:
+def preflight(
+    run_dir: RunFolder, quiet: Quiet = False, as_json: AsJson = False, traceback: Traceback = False
+) -> None:
     """Check whether the lens of RUN_DIR is fit to be made, and write its preflight.html. Exit code 1: it is not."""
     with _reporting(traceback):
         from magiclens.reopen import preflight as check_run
 
         found, text = check_run(run_dir)
-        typer.echo(f"{text}\n{run_dir / 'preflight.html'}")
+        facts = run_dir / "preflight.json"
+        _say(lambda: f"{text}\n{run_dir / 'preflight.html'}", lambda: json.loads(facts.read_text()), quiet, as_json)
         if found.status == "red":
             raise typer.Exit(1)
 
 
 @app.command()
-def machined(run_dir: RunFolder, traceback: Traceback = False) -> None:
+def machined(
+    run_dir: RunFolder, quiet: Quiet = False, as_json: AsJson = False, traceback: Traceback = False
+) -> None:
     """Simulate the milling programs of RUN_DIR: how they fit, and pictures of what their lens shows."""
     with _reporting(traceback):
+        from dataclasses import asdict
+
+        from magiclens.machined import as_text
         from magiclens.machined import machined as run_programs
 
-        typer.echo(run_programs(run_dir))
+        found = run_programs(run_dir)
+        _say(lambda: as_text(found), lambda: asdict(found), quiet, as_json)
+
+
+@app.command()
+def view(
+    run_dir: RunFolder,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="FILE", help="The page.", show_default="RUN_DIR/view.html"),
+    ] = None,
+    show: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in a browser.")] = True,
+    traceback: Traceback = False,
+) -> None:
+    """Write a page on which the lens of RUN_DIR is moved about on its source, and open it."""
+    with _reporting(traceback):
+        from magiclens.viewer import write_view
+
+        path = write_view(run_dir, out)
+        typer.echo(path)
+        if show:
+            typer.launch(path.absolute().as_uri())
+
+
+@app.command()
+def doctor(as_json: AsJson = False) -> None:
+    """Look for all that magiclens can use, and say how to get what is missing. Exit code 1: it cannot work."""
+    with _reporting(False):
+        from magiclens.doctor import as_facts, as_text, examine, unfit
+
+        found = examine()
+        _say(lambda: as_text(found), lambda: as_facts(found), as_json=as_json)
+        if unfit(found):
+            raise typer.Exit(1)
 
 
 @contextmanager
@@ -202,9 +400,21 @@ def _fail(message: str, code: int, traceback: bool) -> NoReturn:
     raise typer.Exit(code)
 
 
+def _say(text: Callable[[], Any], facts: Callable[[], Any], quiet: bool = False, as_json: bool = False) -> None:
+    """Print a result for people, for programs, or not at all."""
+    if as_json:
+        typer.echo(json.dumps(facts(), indent=2, allow_nan=False))
+    elif not quiet:
+        typer.echo(text())
+
+
+def _note(text: str) -> None:
+    typer.echo(text, err=True)
+
+
 def _terminated(*_: Any) -> NoReturn:
     """End as an exception does, so that the unfinished run folder is removed."""
-    raise SystemExit(143)
+    raise Terminated(143)
 
 
 def _summary(done: Run) -> str:

@@ -22,3 +22,7 @@ class InputError(MagicLensError):
 
 class StageError(MagicLensError):
     """A stage or a plugin failed; the message names it, its package and its version. Exit code 1."""
+
+
+class Terminated(SystemExit):
+    """A signal has asked the program to end; nobody who happens to be at work is to blame."""

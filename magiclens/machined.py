@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 from magiclens.artifacts import FloatArray, Scene, Solid
 from magiclens.errors import InputError
 from magiclens.images.score import score
 from magiclens.milling.machining import (
-    Machined,
     faults,
     find_programs,
     polished,
@@ -21,8 +21,28 @@ from magiclens.reopen import Reopened, reopen
 FOLDER = "machined"
 
 
-def machined(folder: str | Path) -> str:
-    """Run the milling programs of a run folder without a machine; a summary as text.
+@dataclass(frozen=True)
+class Outcome:
+    """How the programs fit, in micrometres, and how well the lens as cut shows its targets.
+
+    unreached: share of the surface that no cutter reaches, and by how much. psnr_db: by view, then by state.
+    """
+
+    folder: str
+    programs: tuple[str, ...]
+    minutes: float
+    length_mm: float
+    gouge_um: float
+    left_um: float
+    stated_um: float
+    unreached_share: float
+    unreached_um: float
+    faults: tuple[str, ...]
+    psnr_db: Mapping[str, Mapping[str, float]]
+
+
+def machined(folder: str | Path) -> Outcome:
+    """Run the milling programs of a run folder without a machine.
 
     Writes ``machined/<view>.png``, what each view's eye sees through the lens as cut, and ``<view>-polished.png``, the
     same after its ridges are polished away. Raises InputError if there is no program or it is not understood.
@@ -33,42 +53,60 @@ def machined(folder: str | Path) -> str:
         wish = "there is no milling program; run its spec with --set 'pipeline.exporters=[{type: gcode}]'"
         raise InputError(wish, str(lens.folder))
     made = simulate(paths, lens.solid)
+    fit, moves = made.fit, [program.moves for program in made.programs]
+    wrong = [f"{path.name}: {text}" for path, p in zip(paths, made.programs, strict=True) for text in faults(p)]
     width = ridge_width_mm(made.programs) / 2
     solids = {"designed": lens.solid, "as cut": made.solid, "polished": polished(made.solid, width)}
-    return "\n".join([*_numbers(paths, made), "", *_pictures(lens, solids)])
+    return Outcome(
+        str(lens.folder),
+        tuple(path.name for path in paths),
+        float(sum(each.minutes() for each in moves)),
+        float(sum(each.length_mm() for each in moves)),
+        float(fit.gouge_mm * 1000),
+        float(fit.left_mm * 1000),
+        float(fit.stated_mm * 1000),
+        float(fit.unreached_share),
+        float(fit.unreached_mm * 1000),
+        tuple(wrong),
+        _pictures(lens, solids),
+    )
 
 
-def _numbers(paths: Sequence[Path], made: Machined) -> list[str]:
-    """How well the programs fit, and what is wrong with them."""
-    fit, moves = made.fit, [program.moves for program in made.programs]
-    minutes = sum(each.minutes() for each in moves)
-    length = sum(each.length_mm() for each in moves)
-    said = f"stated: at most {fit.stated_mm * 1000:.2f} um"
-    wrong = [f"{path.name}: {text}" for path, p in zip(paths, made.programs, strict=True) for text in faults(p)]
-    return [
-        f"programs    {', '.join(path.name for path in paths)}",
-        f"cutting     {length / 1000:.1f} m, about {minutes // 60:.0f} h {minutes % 60:.0f} min",
-        f"gouge       {fit.gouge_mm * 1000:.2f} um",
-        f"stock left  {fit.left_mm * 1000:.2f} um where the cutter reaches ({said})",
-        f"unreached   {fit.unreached_share:.2%} of the surface, by up to {fit.unreached_mm * 1000:.1f} um",
-        f"faults      {'; '.join(wrong) or 'none; no rapid move below the top of the plate'}",
+def as_text(found: Outcome) -> str:
+    """A summary for a terminal."""
+    said = f"stated: at most {found.stated_um:.2f} um"
+    states = list(next(iter(found.psnr_db.values())))
+    scores = [f"{view:16}" + "".join(f"{x:12.2f}" for x in found.psnr_db[view].values()) for view in found.psnr_db]
+    lines = [
+        f"programs    {', '.join(found.programs)}",
+        f"cutting     {found.length_mm / 1000:.1f} m, about {found.minutes // 60:.0f} h {found.minutes % 60:.0f} min",
+        f"gouge       {found.gouge_um:.2f} um",
+        f"stock left  {found.left_um:.2f} um where the cutter reaches ({said})",
+        f"unreached   {found.unreached_share:.2%} of the surface, by up to {found.unreached_um:.1f} um",
+        f"faults      {'; '.join(found.faults) or 'none; no rapid move below the top of the plate'}",
+        "",
+        f"{'psnr_db':16}" + "".join(f"{state:>12}" for state in states),
+        *scores,
+        "",
+        f"{Path(found.folder, FOLDER)}: {', '.join(f'{view}[-polished].png' for view in found.psnr_db)}",
     ]
+    return "\n".join(lines)
 
 
-def _pictures(lens: Reopened, solids: dict[str, Solid]) -> list[str]:
+def _pictures(lens: Reopened, solids: dict[str, Solid]) -> dict[str, dict[str, float]]:
     """Trace every solid in every view, write what the made ones show, and compare with the targets."""
     from magiclens.images.files import write_png
 
     scene = lens.plan.on_medium(lens.printed_scene)
     seen = {name: _seen(scene, solid) for name, solid in solids.items()}
     (lens.folder / FOLDER).mkdir(exist_ok=True)
-    lines = [f"{'psnr_db':16}" + "".join(f"{name:>12}" for name in solids)]
     for k, view in enumerate(scene.views):
         write_png(lens.folder / FOLDER / f"{view.name}.png", seen["as cut"][k])
         write_png(lens.folder / FOLDER / f"{view.name}-polished.png", seen["polished"][k])
-        scores = [score(pictures[k], view.target).psnr_db for pictures in seen.values()]
-        lines.append(f"{view.name:16}" + "".join(f"{value:12.2f}" for value in scores))
-    return [*lines, "", f"{lens.folder / FOLDER}: {', '.join(f'{v.name}[-polished].png' for v in scene.views)}"]
+    return {
+        view.name: {name: score(pictures[k], view.target).psnr_db for name, pictures in seen.items()}
+        for k, view in enumerate(scene.views)
+    }
 
 
 def _seen(scene: Scene, solid: Solid) -> list[FloatArray]:

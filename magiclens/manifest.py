@@ -67,7 +67,7 @@ def manifest(plan: Plan, inputs: Inputs, scene: Scene, metrics: Mapping[str, flo
         "stages": [_stage(step, inputs) for step in plan.steps],
         "metrics": {name: _number(value) for name, value in metrics.items()},
         "seed": plan.spec.seed,
-        "versions": _versions(plan),
+        "versions": versions(plan),
         "spec_sha256": hashlib.sha256(spec_text(plan, inputs).encode()).hexdigest(),
     }
 
@@ -142,7 +142,8 @@ def _number(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def _versions(plan: Plan) -> dict[str, str]:
+def versions(plan: Plan) -> dict[str, str]:
+    """Of Python, and of every package that can change the run's result."""
     known = {name: _version(name) for name in LIBRARIES} | {s.plugin.package: s.plugin.version for s in plan.steps}
     return {"python": platform.python_version(), **{name: v for name, v in sorted(known.items()) if v}}
 

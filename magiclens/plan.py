@@ -11,7 +11,7 @@ from typing import Any, Generic, TypeVar
 
 from magiclens.artifacts import Lens, Scene
 from magiclens.registry import ART, SCENARIO, STAGE, Plugin, Registry, blaming
-from magiclens.scenarios.base import Scenario
+from magiclens.scenarios.base import Scenario, Shot
 from magiclens.spec.checker import Checker
 from magiclens.spec.document import Document, Keys, read_document
 from magiclens.spec.fabrication import Fabrication, find_fabrication
@@ -43,7 +43,8 @@ class Step(Generic[S]):
 
     def choice(self, inputs: Inputs | None = None) -> dict[str, Any]:
         """The stage as a spec writes it, every option explicit."""
-        return {"type": self.stage.type, **self.stage.model_dump(mode="json", context={"inputs": inputs})}
+        with blaming(str(self)):
+            return {"type": self.stage.type, **self.stage.model_dump(mode="json", context={"inputs": inputs})}
 
 
 @dataclass(frozen=True)
@@ -69,6 +70,11 @@ class Plan:
         """All stages, in pipeline order."""
         single = (self.matcher, self.annealer, self.integrator, self.finisher)
         return (*single, *([self.encoder] if self.encoder else []), *self.exporters, *self.renderers)
+
+    def shots(self) -> tuple[Shot, ...]:
+        """The views before they have pictures."""
+        with blaming(f"scenario {self.scenario.type} ({self.scenario_plugin})"):
+            return self.scenario.shots(self.lens, self.spec.viewer)
 
     def scene(self) -> Scene:
         """The lens and its views, pictures loaded."""
@@ -130,11 +136,11 @@ class _Compiler:
         """The plan, or the first mistake."""
         spec = check_spec(self._document, self._checker, self._fabrication)
         scenario, scenario_plugin = self._scenario()
-        suited = scenario.suited() if scenario else {}
+        suited = self._suited(scenario, scenario_plugin)
         if self._fabrication and spec:
             suited = self._fabrication.suited(suited, spec.lens.wall)
         steps = self._steps(suited)
-        lens = self._fit(spec, scenario) if spec and scenario else None
+        lens = self._fit(spec, scenario, scenario_plugin) if spec and scenario else None
         settle = self._checker.settle
         return Plan(
             spec=settle(spec),
@@ -156,7 +162,7 @@ class _Compiler:
         written = self._document.data.get("scenario")
         choice: Choice = written if isinstance(written, dict) else {}
         found = self._pick(("scenario",), choice, SCENARIO)
-        return (self._options(found[0], choice, ("scenario",), "key"), found[1]) if found else (None, None)
+        return (self._options(found, choice, ("scenario",), "key"), found[1]) if found else (None, None)
 
     def _steps(self, suited: Mapping[str, Choice]) -> dict[str, list[Step[Any] | None]]:
         """The stages at each key of the pipeline; None where something is wrong, nothing if the pipeline itself is."""
@@ -180,7 +186,7 @@ class _Compiler:
     def _step(self, kind: str, choice: Choice, at: Keys) -> Step[Any] | None:
         found = self._pick(at, choice, STAGE, kind)
         usual = self._machines(found[0]) if found and kind == Exporter.kind else {}
-        stage = self._options(found[0], {**usual, **choice}, at, "option") if found else None
+        stage = self._options(found, {**usual, **choice}, at, "option") if found else None
         return Step(stage, found[1]) if found and stage else None
 
     def _machines(self, exporter: type[Exporter]) -> Choice:
@@ -199,20 +205,28 @@ class _Compiler:
         return found
 
     def _unknown(self, type_: object, *table: str) -> str:
-        failed = len(self._registry.failures)
-        hint = f" ({failed} plugin failures: see 'mlens plugins')" if failed else ""
+        hint = f" ({self._registry.absent})" if self._registry.absent else ""
         return unknown(table[-1], type_, self._registry.types(*table)) + hint
 
-    def _options(self, cls: type[Any], choice: Choice, at: Keys, noun: str) -> Any:
+    def _options(self, found: tuple[type[Any], Plugin], choice: Choice, at: Keys, noun: str) -> Any:
+        cls, plugin = found
         options = {key: value for key, value in choice.items() if key != "type"}
-        return self._checker.validate(cls, options, at, noun)
+        with blaming(f"{getattr(cls, 'kind', SCENARIO)} {cls.type} ({plugin})"):
+            return self._checker.validate(cls, options, at, noun)
 
-    def _fit(self, spec: Spec, scenario: Scenario) -> Lens | None:
-        try:
-            return scenario.fit(spec.lens.build(), spec.viewer)
-        except ValueError as error:
-            self._checker.add(("scenario",), str(error))
-            return None
+    def _suited(self, scenario: Scenario | None, plugin: Plugin | None) -> dict[str, Choice]:
+        if scenario is None:
+            return {}
+        with blaming(f"scenario {scenario.type} ({plugin})"):
+            return scenario.suited()
+
+    def _fit(self, spec: Spec, scenario: Scenario, plugin: Plugin | None) -> Lens | None:
+        with blaming(f"scenario {scenario.type} ({plugin})"):
+            try:
+                return scenario.fit(spec.lens.build(), spec.viewer)
+            except ValueError as error:
+                self._checker.add(("scenario",), str(error))
+                return None
 
 
 def _writes(stage: Stage) -> str:
@@ -247,11 +261,10 @@ def _lens_lines(plan: Plan) -> list[str]:
 
 def _view_lines(plan: Plan) -> list[str]:
     options = plan.resolved()["scenario"]
-    shots = plan.scenario.shots(plan.lens, plan.spec.viewer)
     return [
         f"scenario {options.pop('type')}",
         *(f"    {key}: {_inline(value)}" for key, value in options.items()),
-        *(f"  view {shot}" for shot in shots),
+        *(f"  view {shot}" for shot in plan.shots()),
     ]
 
 

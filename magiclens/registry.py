@@ -1,12 +1,15 @@
 """Finds plugins and knows what they contribute. The only file that touches pluggy.
 
 Built-in stages come through the same entry point group as everybody else's. Entry points are loaded one by one; what
-fails is recorded and stops nothing.
+fails is recorded and stops nothing, what is printed goes to standard error. Later, plugins are called inside
+``blaming``, so that failures and prints carry their name.
 """
 
 from __future__ import annotations
 
 import inspect
+import os
+import re
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -20,10 +23,14 @@ import pluggy
 
 from magiclens import hookspecs
 from magiclens.artifacts import FloatArray
-from magiclens.errors import MagicLensError, StageError
+from magiclens.errors import InputError, StageError, Terminated
+from magiclens.prints import prints_of
+from magiclens.spec.suggest import unknown
 from magiclens.stages import KINDS
 
-STAGE, SCENARIO, ART = "stage", "scenario", "art"
+STAGE, SCENARIO, ART, EXECUTOR = "stage", "scenario", "art", "executor"
+DISABLED = "MLENS_DISABLE_PLUGINS"
+"""Environment variable: plugins that are left alone, by package or entry point name, between commas or blanks."""
 
 
 @dataclass(frozen=True)
@@ -40,10 +47,13 @@ class Plugin:
 
 @dataclass(frozen=True)
 class Failure:
-    """Something of a plugin that cannot be used, and why: the last lines of a traceback."""
+    """Something of a plugin that cannot be used, or is not as it should be, and why: the last lines of a traceback."""
 
     plugin: Plugin
     reason: str
+
+    def __str__(self) -> str:
+        return f"plugin {self.plugin.name} ({self.plugin}): {self.reason.splitlines()[-1].strip()}"
 
 
 @dataclass(frozen=True)
@@ -56,38 +66,47 @@ class Entry:
 
 
 class Registry:
-    """What plugins contribute: stages by (kind, type), scenarios by type, art by name."""
+    """What plugins contribute: stages by (kind, type), scenarios and executors by type, art by name."""
 
     def __init__(self) -> None:
         self.failures: list[Failure] = []
-        self.plugins: list[Plugin] = []
+        self.remarks: list[Failure] = []
+        self.disabled: list[Plugin] = []
+        self._plugins: dict[str, Plugin] = {}
         self._entries: dict[tuple[str, ...], Entry] = {}
         self._manager = pluggy.PluginManager("magiclens")
         self._manager.add_hookspecs(hookspecs)
 
     @classmethod
-    def load(cls, found: Iterable[EntryPoint] | None = None) -> Registry:
-        """A registry of everything that is installed (or of the given entry points)."""
+    def load(cls, found: Iterable[EntryPoint] | None = None, disabled: Iterable[str] | None = None) -> Registry:
+        """A registry of everything that is installed (or of the given entry points).
+
+        disabled: packages and entry points that are not even imported; by default what the environment variable
+        MLENS_DISABLE_PLUGINS names. Raises InputError for a name that nothing has.
+        """
         registry = cls()
-        points = entry_points(group=hookspecs.ENTRY_POINT_GROUP) if found is None else found
-        for point in sorted(points, key=lambda p: (p.name, p.value)):
-            registry._load(point)
+        installed = entry_points(group=hookspecs.ENTRY_POINT_GROUP)
+        points = sorted(installed if found is None else found, key=lambda p: (p.name, p.value))
+        plugins = [_provider(point) for point in points]
+        names = re.split(r"[,\s]+", os.environ.get(DISABLED, "")) if disabled is None else disabled
+        unwanted = {_known(name, plugins) for name in names if name}
+        for point, plugin in zip(points, plugins, strict=True):
+            if unwanted & _names(plugin):
+                registry.disabled.append(plugin)
+            else:
+                registry._load(point, plugin)
         return registry
 
     def register(self, implementation: object, plugin: Plugin) -> None:
         """Add one plugin: a module or object with hook implementations. What is wrong with it is recorded."""
-        try:
-            self._manager.register(implementation, name=f"{plugin.package}:{plugin.name}")
-            self._manager.check_pending()
-        except Exception:
-            self._fail(plugin, _last_lines())
-            if self._manager.is_registered(implementation):
-                self._manager.unregister(implementation)
-            return
-        self.plugins.append(plugin)
-        self._collect(implementation, plugin, "mlens_stages", self._add_stages)
-        self._collect(implementation, plugin, "mlens_scenarios", self._add_scenarios)
-        self._collect(implementation, plugin, "mlens_art", self._add_art)
+        flaw = hookspecs.contract_flaw(implementation)
+        if flaw:
+            self._fail(plugin, flaw)
+        elif self._accept(implementation, plugin):
+            self._collect(implementation, plugin, "mlens_stages", self._add_stages)
+            self._collect(implementation, plugin, "mlens_scenarios", self._add_scenarios)
+            self._collect(implementation, plugin, "mlens_art", self._add_art)
+            self._collect(implementation, plugin, "mlens_executors", self._add_executors)
 
     def find(self, *key: str) -> tuple[Any, Plugin] | None:
         """What has the name key[-1] among ``types(*key[:-1])``, and its plugin; None if nothing has.
@@ -99,12 +118,22 @@ class Registry:
             return None
         if entry.rivals:
             claims = " and ".join(str(p) for p in (entry.plugin, *entry.rivals))
-            raise StageError(f"the {' '.join(key[:-1])} {key[-1]!r} is claimed by {claims}; uninstall all but one")
+            keep = "keep one of them: uninstall the others, or --disable-plugin NAME"
+            raise Blamed(f"the {' '.join(key[:-1])} {key[-1]!r} is claimed by {claims}; {keep}")
         return entry.value, entry.plugin
 
     def types(self, *kind: str) -> list[str]:
         """The names to choose from: ``types(STAGE, "matcher")``, ``types(SCENARIO)``, ``types(ART)``."""
         return sorted(key[-1] for key in self._entries if key[:-1] == kind)
+
+    @property
+    def absent(self) -> str:
+        """Which plugins could not be used, or were not to be; nothing if there are none."""
+        failed = ", ".join(dict.fromkeys(str(f.plugin) for f in self.failures))
+        disabled = ", ".join(dict.fromkeys(map(str, self.disabled)))
+        parts = [f"failed: {failed}"] if failed else []
+        parts += [f"disabled: {disabled}"] if disabled else []
+        return f"plugins {'; '.join(parts)}; see 'mlens plugins'" if parts else ""
 
     @property
     def art(self) -> Mapping[str, Callable[[int], FloatArray]]:
@@ -117,7 +146,7 @@ class Registry:
 
     @property
     def entries(self) -> Mapping[tuple[str, ...], Entry]:
-        """Everything: (STAGE, kind, type), (SCENARIO, type), (ART, name)."""
+        """Everything: (STAGE, kind, type), (SCENARIO, type), (ART, name), (EXECUTOR, type)."""
         return dict(self._entries)
 
     def tell(self, hook: str, **facts: Any) -> list[str]:
@@ -125,10 +154,11 @@ class Registry:
         complaints = []
         for implementation in getattr(self._manager.hook, hook).get_hookimpls():
             try:
-                implementation.function(*(facts[name] for name in implementation.argnames))
-            except Exception as error:
-                name = implementation.plugin_name
-                complaints.append(f"plugin {name}: {hook} failed: {type(error).__name__}: {error}")
+                plugin = self._plugins[implementation.plugin_name]
+                with blaming(f"plugin {plugin.name} ({plugin}): {hook}"):
+                    implementation.function(*(facts[name] for name in implementation.argnames))
+            except StageError as error:
+                complaints.append(str(error))
         return complaints
 
     def _draw(self, name: str, size_px: int) -> FloatArray:
@@ -141,24 +171,43 @@ class Registry:
                 raise ValueError(f"it drew {picture.shape} pixels instead of ({size_px}, {size_px}, 1 or 3), or NaN")
             return picture
 
-    def _load(self, point: EntryPoint) -> None:
-        package, version = (point.dist.name, point.dist.version) if point.dist else ("(unknown package)", "?")
-        plugin = Plugin(point.name, package, version)
-        try:
-            implementation = point.load()
-        except (Exception, SystemExit):
-            self._fail(plugin, _last_lines())
-        else:
-            self.register(implementation, plugin)
+    def _load(self, point: EntryPoint, plugin: Plugin) -> None:
+        """Import a plugin and add it."""
+        with prints_of(str(plugin)) as prints, self._recording(plugin):
+            self.register(point.load(), plugin)
+        if prints.first:
+            self.remarks.append(Failure(plugin, f"prints while it is loaded: {prints.first!r}"))
+
+    def _accept(self, implementation: object, plugin: Plugin) -> bool:
+        """Whether the hooks are those of ``hookspecs``."""
+        name = f"{plugin.package}:{plugin.name}"
+        with self._recording(plugin):
+            self._manager.register(implementation, name=name)
+            self._manager.check_pending()
+            self._plugins[name] = plugin
+            if not self._manager.get_hookcallers(implementation):
+                self.remarks.append(Failure(plugin, "contributes nothing: none of its functions has @hookimpl"))
+            return True
+        if self._manager.get_name(implementation) == name:
+            self._manager.unregister(implementation)
+        return False
 
     def _collect(self, source: object, plugin: Plugin, hook: str, add: Callable[[Any, Plugin], None]) -> None:
         """Call one plugin's implementation of a contributing hook."""
         for implementation in getattr(self._manager.hook, hook).get_hookimpls():
             if implementation.plugin is source:
-                try:
+                with self._recording(plugin, f"{hook}: "):
                     add(implementation.function(), plugin)
-                except Exception:
-                    self._fail(plugin, f"{hook}: {_last_lines()}")
+
+    @contextmanager
+    def _recording(self, plugin: Plugin, where: str = "") -> Iterator[None]:
+        """Whatever goes wrong inside is noted, even what is meant to end the program, and nothing is raised."""
+        try:
+            yield
+        except (KeyboardInterrupt, Terminated):
+            raise
+        except BaseException:
+            self._fail(plugin, where + _last_lines())
 
     def _add_stages(self, classes: Iterable[Any], plugin: Plugin) -> None:
         for cls in classes:
@@ -176,6 +225,14 @@ class Registry:
             else:
                 self._add((SCENARIO, cls.type), cls, plugin)
 
+    def _add_executors(self, classes: Iterable[Any], plugin: Plugin) -> None:
+        for cls in classes:
+            flaw = _class_flaw(cls) or _lacks(cls, "map")
+            if flaw:
+                self._fail(plugin, f"mlens_executors: {flaw}")
+            else:
+                self._add((EXECUTOR, cls.type), cls, plugin)
+
     def _add_art(self, pictures: Mapping[str, Any], plugin: Plugin) -> None:
         for name, draw in pictures.items():
             if isinstance(name, str) and callable(draw):
@@ -191,15 +248,47 @@ class Registry:
         self.failures.append(Failure(plugin, reason))
 
 
+class Blamed(StageError):
+    """A StageError that says who it was."""
+
+
 @contextmanager
 def blaming(who: str) -> Iterator[None]:
-    """Whatever goes wrong inside comes out as a StageError that names who did it."""
+    """Whatever goes wrong inside comes out as a StageError that names who did it; what is printed is named too.
+
+    What is wrong with the user's input (InputError) passes, and so do an interrupt and a signal to end.
+    """
     try:
-        yield
-    except MagicLensError:
+        with prints_of(who):
+            yield
+    except (InputError, Blamed, KeyboardInterrupt, Terminated):
         raise
-    except Exception as error:
-        raise StageError(f"{who} failed: {type(error).__name__}: {error}") from error
+    except StageError as error:
+        raise Blamed(f"{who}: {error}") from error
+    except BaseException as error:
+        raise Blamed(f"{who} failed: {type(error).__name__}: {error}") from error
+
+
+def _provider(point: EntryPoint) -> Plugin:
+    """Where an entry point comes from, as far as its package's metadata tell."""
+    name, version = (point.dist.name, point.dist.version) if point.dist else (None, None)
+    return Plugin(point.name, name or "(unknown package)", version or "?")
+
+
+def _names(plugin: Plugin) -> set[str]:
+    """What a plugin can be disabled by; packages are spelt with - or _ or ., in capitals or not."""
+    return {_plain(plugin.name), _plain(plugin.package)}
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def _known(name: str, plugins: list[Plugin]) -> str:
+    """The name as it is compared. Raises InputError if no plugin has it."""
+    if not any(_plain(name) in _names(plugin) for plugin in plugins):
+        raise InputError(unknown("plugin", name, {n for p in plugins for n in (p.package, p.name)}), "--disable-plugin")
+    return _plain(name)
 
 
 def stage_flaw(cls: Any) -> str | None:
@@ -213,7 +302,8 @@ def stage_flaw(cls: Any) -> str | None:
         return f"{cls.__name__}.version is not text"
     if cls.kind == "exporter" and not str(getattr(cls, "suffix", "")).startswith("."):
         return f"{cls.__name__}.suffix is not a file ending such as '.stl'"
-    return _lacks(cls, *_abstract(KINDS[cls.kind]))
+    methods = _abstract(KINDS[cls.kind])
+    return _lacks(cls, *methods) or next(filter(None, (_miscalled(cls, name) for name in methods)), None)
 
 
 def _class_flaw(cls: Any) -> str | None:
@@ -233,6 +323,16 @@ def _abstract(cls: type[Any]) -> list[str]:
 def _lacks(cls: type[Any], *methods: str) -> str | None:
     missing = [name for name in methods if not callable(getattr(cls, name, None))]
     return f"{cls.__name__} lacks {', '.join(missing)}" if missing else None
+
+
+def _miscalled(cls: type[Any], method: str) -> str | None:
+    """What is wrong if a stage's method does not take what runs give it, in this order."""
+    given = list(inspect.signature(getattr(KINDS[cls.kind], method)).parameters)
+    try:
+        inspect.signature(getattr(cls, method)).bind(*given)
+    except TypeError as error:
+        return f"{cls.__name__}.{method} is called with ({', '.join(given)}): {error}"
+    return None
 
 
 def _last_lines() -> str:

@@ -16,7 +16,7 @@ from magiclens.images import read_image, score
 from magiclens.plan import Plan, describe, load_plan
 from magiclens.registry import Registry
 from magiclens.reopen import reopen
-from magiclens.run import Run, run_spec
+from magiclens.running import Run, run_spec
 from magiclens.spec.model import Medium
 from toys import SpecWriter
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, ClassVar
@@ -11,13 +12,15 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from magiclens.errors import InputError, StageError
+from magiclens.errors import InputError, StageError, Terminated
 from magiclens.hookspecs import hookimpl
 from magiclens.listing import describe_plugins
 from magiclens.plan import load_plan
-from magiclens.registry import ART, SCENARIO, STAGE, Plugin, Registry
+from magiclens.prints import prints_of
+from magiclens.registry import ART, SCENARIO, STAGE, Plugin, Registry, blaming
 from magiclens.scenarios.rotating import Rotating
-from magiclens.stages import Matcher
+from magiclens.spec.schema import json_schema
+from magiclens.stages import KINDS, Matcher
 from toys import TOY_PLUGIN, SpecWriter, ToyExporter, ToyMatcher, plugin_of, registry_of
 
 OTHER = Plugin("other", "other-package", "3.4")
@@ -121,7 +124,7 @@ def test_one_flawed_class_does_not_take_its_neighbours_along() -> None:
 
 
 def test_a_class_that_inherits_nothing_may_be_a_stage() -> None:
-    methods = {"model_validate": len, "model_dump": len, "match": len}
+    methods = {"model_validate": len, "model_dump": len, "match": lambda self, scene, rng, progress: None}
     duck = type("Duck", (), {"kind": "matcher", "type": "duck", "version": "1", **methods})
     registry = Registry()
     registry.register(plugin_of(duck), TOY_PLUGIN)
@@ -135,6 +138,114 @@ def test_a_stage_without_its_method_is_refused() -> None:
     registry = Registry()
     registry.register(plugin_of(Lazy), TOY_PLUGIN)
     assert "Lazy lacks match" in registry.failures[0].reason
+
+
+def test_a_stage_whose_method_takes_other_arguments_is_refused() -> None:
+    class Odd(ToyExporter):
+        def export(self, solid: Any, path: Any) -> None:  # type: ignore[override]
+            pass
+
+    registry = Registry()
+    registry.register(plugin_of(Odd), TOY_PLUGIN)
+    assert "Odd.export is called with (self, scene, solid, path): too many" in registry.failures[0].reason
+    assert registry.types(STAGE, "exporter") == []
+
+
+@pytest.mark.parametrize(
+    ("written", "reason"),
+    [
+        ("1.1", "it is written for contract 1.1, this magiclens has 1.0: upgrade magiclens"),
+        ("2.0", "upgrade magiclens"),
+        ("0.9", "it is written for contract 0.9, this magiclens has 1.0: upgrade the plugin"),
+        (1.0, "mlens_contract is 1.0; it is text such as '1.0'"),
+        ("new", "mlens_contract is 'new'; it is text such as '1.0'"),
+    ],
+)
+def test_a_plugin_written_for_another_contract_is_told_what_to_upgrade(written: Any, reason: str) -> None:
+    plugin = plugin_of(ToyMatcher)
+    vars(plugin)["mlens_contract"] = written
+    registry = Registry()
+    registry.register(plugin, TOY_PLUGIN)
+    assert registry.failures[0].reason.endswith(reason)
+    assert registry.types(STAGE, "matcher") == []
+
+
+def test_a_plugin_written_for_this_contract_or_an_older_second_number_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("magiclens.hookspecs.CONTRACT", "1.3")
+    plugin = plugin_of(ToyMatcher)
+    vars(plugin)["mlens_contract"] = "1.2"
+    registry = Registry()
+    registry.register(plugin, TOY_PLUGIN)
+    assert registry.failures == []
+
+
+def test_a_plugin_that_forgets_to_mark_its_hooks_is_told() -> None:
+    registry = Registry()
+    registry.register(SimpleNamespace(mlens_stages=lambda: [ToyMatcher]), TOY_PLUGIN)
+    assert registry.failures == []
+    assert "none of its functions has @hookimpl" in registry.remarks[0].reason
+    assert "none of its functions has @hookimpl" in describe_plugins(registry)
+
+
+def test_a_module_that_is_registered_twice_counts_once() -> None:
+    heard: list[float] = []
+    listener = hookimpl(lambda seconds: heard.append(seconds), specname="mlens_stage_done")
+    plugin = SimpleNamespace(mlens_stage_done=listener)
+    registry = Registry()
+    for name in ("a", "b"):
+        registry.register(plugin, Plugin(name, "twice", "1"))
+    assert [f.plugin.name for f in registry.failures] == ["b"]
+    registry.tell("mlens_stage_done", stage=None, artifact=None, seconds=2.0)
+    assert heard == [2.0]
+
+
+@pytest.mark.parametrize("error", [SystemExit(3), type("Odd", (BaseException,), {})("odd")])
+def test_what_is_meant_to_end_the_program_is_blamed_on_its_plugin(error: BaseException) -> None:
+    with pytest.raises(StageError, match=r"^matcher x \(pack 1\) failed: \w+: (3|odd)$"), blaming("matcher x (pack 1)"):
+        raise error
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), Terminated(143), InputError("wrong")])
+def test_interrupts_signals_and_wrong_input_are_nobodys_fault(error: BaseException) -> None:
+    with pytest.raises(type(error)), blaming("matcher x (pack 1)"):
+        raise error
+
+
+def test_a_failure_is_blamed_once_on_who_was_nearest() -> None:
+    with pytest.raises(StageError, match=r"^inner: no facet$"), blaming("outer"), blaming("inner"):
+        raise StageError("no facet")
+
+
+def test_options_that_json_has_no_words_for_do_not_spoil_the_schema_of_the_rest() -> None:
+    class Odd(ToyExporter):
+        type: ClassVar[str] = "odd"
+        shape: Callable[[int], int] = abs
+
+    exporters = {"odd": Odd, "toy": ToyExporter}
+    schema = json_schema({}, {kind: exporters if kind == "exporter" else {} for kind in KINDS}, [])
+    assert schema["definitions"]["exporter-odd"]["properties"] == {"type": {"const": "odd"}}
+    assert "exporter-toy" in schema["definitions"]
+
+
+def test_threads_print_under_their_own_names(capfd: pytest.CaptureFixture[str]) -> None:
+    meet = threading.Barrier(4)
+
+    def work(name: str) -> None:
+        with prints_of(name):
+            meet.wait()
+            for k in range(20):
+                print(f"line {k} of {name}")
+            meet.wait()
+
+    threads = [threading.Thread(target=work, args=(name,)) for name in "abcd"]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    print("clean")
+    said = capfd.readouterr()
+    assert said.out == "clean\n"
+    assert sorted(said.err.splitlines()) == sorted(f"{n}: line {k} of {n}" for n in "abcd" for k in range(20))
 
 
 @pytest.mark.parametrize(
@@ -203,7 +314,7 @@ def test_a_scenario_that_fails_is_named(registry: Registry, write_spec: SpecWrit
 def test_a_missing_stage_points_to_failed_plugins(write_spec: SpecWriter) -> None:
     registry = registry_of(ToyMatcher)
     registry.register(plugin_of(object), OTHER)
-    with pytest.raises(InputError, match=r"unknown annealer 'toy'; .*1 plugin failures: see 'mlens plugins'"):
+    with pytest.raises(InputError, match=r"unknown annealer 'toy'; .*plugins failed: other-package 3.4; see 'mlens"):
         load_plan(write_spec(), registry=registry)
 
 
@@ -219,7 +330,7 @@ def test_an_observer_that_fails_is_reported_and_the_next_one_is_told() -> None:
         registry.register(SimpleNamespace(mlens_stage_done=implementation), Plugin(name, name, "1"))
     complaints = registry.tell("mlens_stage_done", stage=None, artifact=None, seconds=2.0)
     assert heard == [2.0]
-    assert complaints == ["plugin a:a: mlens_stage_done failed: RuntimeError: no ears"]
+    assert complaints == ["plugin a (a 1): mlens_stage_done failed: RuntimeError: no ears"]
 
 
 def test_the_listing_shows_kind_name_package_version_and_options(registry: Registry) -> None:

@@ -15,7 +15,7 @@ from magiclens.images.art import ART
 from magiclens.images.files import read_image, write_png
 from magiclens.images.movies import read_frames, write_gif
 from magiclens.reopen import reopen
-from magiclens.run import Run, run_spec
+from magiclens.running import Run, run_spec
 
 SPEC = """\
 scenario:

@@ -30,7 +30,7 @@ from magiclens.report.surface import wall_picture
 from magiclens.report.tables import measure, metric_rows
 from magiclens.report.warp import INK, facet_colours, tinted
 from magiclens.report.write import write_report
-from magiclens.run import run_plan
+from magiclens.running import run_plan
 from scenes import (
     ABOVE,
     assigned,

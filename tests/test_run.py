@@ -20,7 +20,7 @@ from magiclens.hookspecs import hookimpl
 from magiclens.observers import Bars, Lines, Observer
 from magiclens.plan import load_plan
 from magiclens.registry import Plugin, Registry
-from magiclens.run import Run, run_plan
+from magiclens.running import Run, run_plan
 from magiclens.stages import Stage
 from toys import (
     TOYS,
@@ -351,7 +351,7 @@ def test_a_failing_observer_stops_nothing_and_is_noted(
     observer = SimpleNamespace(mlens_run_done=hookimpl(divide_by, specname="mlens_run_done"))
     registry.register(observer, Plugin("watcher", "watcher", "1"))
     assert run("out").folder.exists()
-    assert "note: plugin watcher:watcher: mlens_run_done failed: ZeroDivisionError" in capsys.readouterr().err
+    assert "note: plugin watcher (watcher 1): mlens_run_done failed: ZeroDivisionError" in capsys.readouterr().err
 
 
 def divide_by(folder: Path) -> float:

@@ -9,7 +9,7 @@ import pytest
 
 from magiclens import run_spec
 from magiclens.images import read_image, score, to_display, write_png
-from magiclens.run import Run
+from magiclens.running import Run
 from toys import SpecWriter
 
 SPEC = """\

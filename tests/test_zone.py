@@ -22,7 +22,7 @@ from magiclens.rendering.tracer import Tracer
 from magiclens.report.chart import BOTTOM, HEIGHT, LEFT, RIGHT, SHADE, TOP, WIDTH, Axis, Chart, Curve
 from magiclens.report.data import Zone
 from magiclens.report.zone import zone_figures
-from magiclens.run import run_plan
+from magiclens.running import run_plan
 from scenes import THICK, blotches, grey_view, letter_f, small_lens, surface
 
 SPECS = Path(__file__).parent.parent / "specs"

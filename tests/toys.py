@@ -111,9 +111,11 @@ def plugin_of(*stages: object) -> object:
 
 
 def registry_of(*stages: object) -> Registry:
-    """Built-in scenarios and art, and only these stages."""
+    """Built-in scenarios, art and executors, and only these stages."""
     registry = Registry()
-    scenery = SimpleNamespace(mlens_scenarios=builtin.mlens_scenarios, mlens_art=builtin.mlens_art)
+    scenery = SimpleNamespace(
+        mlens_scenarios=builtin.mlens_scenarios, mlens_art=builtin.mlens_art, mlens_executors=builtin.mlens_executors
+    )
     registry.register(scenery, Plugin("builtin", "magiclens", "0.1.0"))
     registry.register(plugin_of(*stages), TOY_PLUGIN)
     assert registry.failures == []

@@ -30,6 +30,14 @@ def square(linear: FloatArray) -> FloatArray:
     return paper
 
 
+def middle(linear: FloatArray) -> FloatArray:
+    """(S, S, C): the middle of an image (H, W, C), as large as its shorter side."""
+    rows, columns, _ = linear.shape
+    side = min(rows, columns)
+    top, left = (rows - side) // 2, (columns - side) // 2
+    return linear[top : top + side, left : left + side]
+
+
 def _resize_rows(image: FloatArray, rows: int) -> FloatArray:
     """An (H, W, C) image with another number of rows."""
     if rows == len(image):

@@ -69,11 +69,12 @@ class Pool:
 
     def candidates(self, lens: Lens, most: int) -> Candidates:
         """The best ``most`` of every facet, +y up."""
-        n = lens.facets
+        errors = self.errors[:, :most]
+        shape = (-1, lens.facets, errors.shape[1])
         return Candidates(
-            (self.offsets[:, :most] * (1, -1)).reshape(n, n, -1, 2).astype(np.float32),
-            (self.maps[:, :most] * (1, -1, 1)).reshape(n, n, -1, 3).astype(np.float32),
-            self.errors[:, :most].reshape(n, n, -1),
+            (self.offsets[:, :most] * (1, -1)).reshape(*shape, 2).astype(np.float32),
+            (self.maps[:, :most] * (1, -1, 1)).reshape(*shape, 3).astype(np.float32),
+            errors.reshape(shape),
         )
 
 
@@ -96,39 +97,48 @@ def seen_grain(scene: Scene) -> float:
     return GRAIN_MARGIN * flat_scale(scene) * scene.lens.pitch_mm / scene.lens.microfacets
 
 
-def match(options: Exhaustive, scene: Scene, progress: Progress) -> Candidates:
-    """See ``Exhaustive.match``."""
+def match(options: Exhaustive, scene: Scene, rows: slice, progress: Progress) -> Candidates:
+    """See ``Exhaustive.match_rows``."""
     lens, channels = scene.lens, stack_channels(scene)
-    tiles = channels.tiles(lens.facets, options.pixels).reshape(-1, len(channels.target), *(options.pixels,) * 2)
-    centres = lens.facet_centres_mm().reshape(-1, 2) * (1, -1)
+    tiles = channels.tiles(lens.facets, options.pixels)[rows].reshape(-1, len(channels.target), *(options.pixels,) * 2)
+    centres = lens.facet_centres_mm()[rows].reshape(-1, 2) * (1, -1)
     pool = Pool(len(tiles), math.ceil(math.sqrt(options.candidates)))
     window, step = options.window.mm(lens.source_size_mm) / 2, options.step.mm(lens.source_size_mm)
     search_all(options, scene, channels, tiles, centres, window, step, pool, progress)
-    unreached(pool, lens)
+    unreached(pool, lens, rows.start)
     pool.sort()
-    fine = channels.tiles(lens.facets, 2 * options.pixels).reshape(len(tiles), -1, *(2 * options.pixels,) * 2)
+    finish(pool, scene, channels, rows, options, window, step)
+    return pool.candidates(lens, options.candidates)
+
+
+def finish(
+    pool: Pool, scene: Scene, channels: Channels, rows: slice, options: Exhaustive, window: float, step: float
+) -> None:
+    """Polish, judge and sort what a search has left in the pool; ``window`` is half the search window's side."""
+    lens, pixels = scene.lens, 2 * options.pixels
+    tiles = channels.tiles(lens.facets, pixels)[rows].reshape(len(pool.errors), -1, pixels, pixels)
+    centres = lens.facet_centres_mm()[rows].reshape(-1, 2) * (1, -1)
     grain = seen_grain(scene)
     widths = (0.0, 0.1, 0.2, 0.35)
     polish(
-        fine, blur_levels(channels.source, channels.source_px_mm, grain, widths), np.array(widths),
+        tiles, blur_levels(channels.source, channels.source_px_mm, grain, widths), np.array(widths),
         1 / channels.source_px_mm, centres, lens.pitch_mm, window, step, options.polish, 10, options.maps == "scale",
         *optics(scene), pool.errors, pool.offsets, pool.maps,
     )
     pool.drop(options.acceptance)
     judge(
-        fine, channels.source, 1 / channels.source_px_mm, centres, lens.pitch_mm, lens.microfacets, flat_scale(scene),
+        tiles, channels.source, 1 / channels.source_px_mm, centres, lens.pitch_mm, lens.microfacets, flat_scale(scene),
         window, step, rasters.DISPLAY, pool.errors, pool.offsets, pool.maps,
     )
     pool.drop(options.acceptance)
     pool.sort()
-    return pool.candidates(lens, options.candidates)
 
 
-def unreached(pool: Pool, lens: Lens) -> None:
+def unreached(pool: Pool, lens: Lens, first_row: int = 0) -> None:
     """Raise InputError naming the first facet without a candidate, if there is one."""
     empty = np.flatnonzero(~np.isfinite(pool.errors).any(axis=1))
     if len(empty):
-        row, column = divmod(int(empty[0]), lens.facets)
+        row, column = divmod(int(empty[0]) + first_row * lens.facets, lens.facets)
         raise InputError(
             f"facet (row {row}, column {column}) reaches no patch of the source: "
             "use a smaller window or scales, a thicker lens, a larger gap or max_slope, or a larger source"
@@ -146,7 +156,7 @@ def search_all(
     per_side = options.pixels // rasters.BLOCK
     blocks = tiles.reshape(*tiles.shape[:2], per_side, rasters.BLOCK, per_side, rasters.BLOCK).mean(axis=(3, 5))
     symmetric = options.maps == "symmetric"
-    scales = resolved_scales(options.scales, px, channels.source_px_mm)
+    scales = [s for s in resolved_scales(options.scales, px, channels.source_px_mm) if s * px < size]
     pairs = list(itertools.product(scales, repeat=2)) if symmetric else [(s, s) for s in scales]
     for done, (sx, group) in enumerate(itertools.groupby(pairs, key=lambda p: p[0])):
         x = rasters.axis(sx, px, step, size)

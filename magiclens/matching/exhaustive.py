@@ -34,6 +34,13 @@ class Exhaustive(Matcher):
 
     def match(self, scene: Scene, rng: np.random.Generator, progress: Progress = silent) -> Candidates:
         """Search, polish, sort. Raises InputError when some facet reaches no patch at all."""
+        return self.match_rows(scene, 0, scene.lens.facets, progress)
+
+    def match_rows(self, scene: Scene, first: int, last: int, progress: Progress = silent) -> Candidates:
+        """What ``match`` finds for the facets in rows ``first`` to ``last - 1``: arrays (last - first, N, K, ...).
+
+        What is found for a facet does not depend on the others, so that blocks of rows can be matched anywhere.
+        """
         from magiclens.matching.driver import match
 
-        return match(self, scene, progress)
+        return match(self, scene, slice(first, last), progress)

@@ -178,7 +178,35 @@ Source = Annotated[Circles | ImageSource | ArtSource | TextSource | Plain, Field
 """What lies below the lens: generated, a file, built-in art, or text."""
 
 
-class Target(SpecModel):
+class Look(SpecModel):
+    """How a picture is made fit to be a target."""
+
+    fit: Literal["pad", "crop"] | None = Field(
+        None, description="a picture that is not square: `pad`, on white paper, as by default, or `crop` to its middle"
+    )
+    levels: list[Fraction] | None = Field(
+        None, min_length=2, max_length=2, description="display values that become black and white, such as [10%, 90%]"
+    )
+    invert: bool | None = Field(None, description="show the negative")
+
+    @field_validator("levels")
+    @classmethod
+    def _rising(cls, value: list[float] | None) -> list[float] | None:
+        if value is not None and not 0 <= value[0] < value[1] <= 1:
+            raise ValueError("write what becomes black first, then what becomes white, such as [10%, 90%]")
+        return value
+
+    def applied(self, picture: FloatArray) -> FloatArray:
+        """(S, S, C) float32, linear light, of a picture (H, W, C) in linear light. Padding stays white."""
+        from magiclens.images.resample import middle, square
+        from magiclens.images.tones import toned
+
+        black, white = self.levels or (0.0, 1.0)
+        changed = toned(picture, black, white, bool(self.invert)) if self.levels or self.invert else picture
+        return middle(changed) if self.fit == "crop" else square(changed)
+
+
+class Target(Look):
     """What the eye shall see: a picture file, built-in art by its name, or text."""
 
     model_config = ConfigDict(json_schema_extra={"oneOf": [{"required": [key]} for key in ("image", "art", "text")]})
@@ -197,13 +225,16 @@ class Target(SpecModel):
     @field_validator("art", "text")
     @classmethod
     def _one(cls, value: str | None, info: ValidationInfo) -> str | None:
-        others = [key for key, other in info.data.items() if other is not None]
+        others = [key for key in ("image", "art") if info.data.get(key) is not None]
         if value is not None and others:
             raise ValueError(f"give one of {others[0]} and {info.field_name}, not both")
         return value
 
     def raster(self, art: Art) -> FloatArray:
-        """(S, S, C) float32, linear light: files at their own resolution, padded to a square."""
+        """(S, S, C) float32, linear light: files at their own resolution, made square."""
+        return self.applied(self._picture(art))
+
+    def _picture(self, art: Art) -> FloatArray:
         if self.art is not None:
             return art[self.art](TARGET_ART_PX)
         if self.text is not None:
@@ -211,9 +242,8 @@ class Target(SpecModel):
 
             return text(self.text, TARGET_ART_PX)
         from magiclens.images.files import read_image
-        from magiclens.images.resample import square
 
-        return square(read_image(self.image or ""))
+        return read_image(self.image or "")
 
     def __str__(self) -> str:
         if self.image is not None:

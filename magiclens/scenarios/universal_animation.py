@@ -14,9 +14,9 @@ from pydantic import Field, ValidationInfo, model_validator
 from magiclens.artifacts import BoolArray, FloatArray, Lens
 from magiclens.scenarios.base import Scenario, Shot
 from magiclens.scenarios.camouflage import Camouflage
-from magiclens.scenarios.pictures import Art, Source, Target
+from magiclens.scenarios.pictures import Art, Look, Source, Target
 from magiclens.spec.fields import ImageFile, InputFile
-from magiclens.spec.model import Choice, SpecModel, Viewer
+from magiclens.spec.model import Choice, Viewer
 
 STEP_WEIGHT = 1e-5
 MOST_FRAMES = 64
@@ -36,15 +36,13 @@ class Frame(Target):
 
     def raster(self, art: Art) -> FloatArray:
         """(S, S, C) float32, linear light."""
-        from magiclens.images.resample import square
-
-        return square(_movie(self.movie)[self.number])
+        return self.applied(np.asarray(_movie(self.movie)[self.number]))
 
     def __str__(self) -> str:
         return f"{self.movie.name} frame {self.number}"
 
 
-class Frames(SpecModel):
+class Frames(Look):
     """What the eye shall see in turn: a built-in loop, pictures, or a movie."""
 
     art: str | None = Field(None, description="name of a built-in loop, such as worm for worm-0, worm-1, ...")
@@ -68,12 +66,13 @@ class Frames(SpecModel):
         return self
 
     def targets(self) -> list[Target]:
-        """One per frame, in order."""
+        """One per frame, in order; all look alike."""
+        look = self.model_dump(mode="json", include=set(Look.model_fields))
         if self.images:
-            return [Target(image=path) for path in self.images]
+            return [Target(image=path, **look) for path in self.images]
         if self.movie:
-            return [Frame(movie=self.movie, number=k) for k in range(len(_movie(self.movie)))]
-        return [Target(art=f"{self.art}-{k}") for k in range(self.length or 0)]
+            return [Frame(movie=self.movie, number=k, **look) for k in range(len(_movie(self.movie)))]
+        return [Target(art=f"{self.art}-{k}", **look) for k in range(self.length or 0)]
 
 
 class UniversalAnimation(Scenario):

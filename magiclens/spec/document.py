@@ -44,9 +44,14 @@ class Document:
         return Path(self.name).parent
 
     def where(self, at: Keys) -> str:
-        """``file:line`` or ``--set ...`` of a key, or of the nearest enclosing one that was written."""
+        """``file:line`` or ``--set ...`` of a key, or of the nearest enclosing one that was written.
+
+        What was no file has no lines.
+        """
         override = self._override(at)
-        return override.where if override else f"{self.name}:{self._line(at)}"
+        if override:
+            return override.where
+        return f"{self.name}:{self._line(at)}" if self.lines else self.name
 
     def order(self, at: Keys) -> tuple[int, int]:
         """Sorts keys as they were written: by line, overrides last."""
@@ -86,6 +91,20 @@ def read_document(path: str | Path, overrides: Iterable[str] = ()) -> Document:
         found = "is empty" if data is None else f"holds {_kind(data)} instead of a mapping"
         raise InputError(f"the file {found}; a spec starts with a line such as 'scenario:'", f"{name}:1")
     return Document(name, data, lines, tuple(_apply(data, text) for text in overrides))
+
+
+def document_of(data: Mapping[str, Any], overrides: Iterable[str] = ()) -> Document:
+    """A spec that is data already, such as a dict; tuples are lists, paths are text. Paths in it start here."""
+    copy = _copied(data)
+    return Document("spec", copy, {}, tuple(_apply(copy, text) for text in overrides))
+
+
+def _copied(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _copied(child) for key, child in value.items()}
+    if isinstance(value, list | tuple):
+        return [_copied(child) for child in value]
+    return str(value) if isinstance(value, Path) else value
 
 
 def _read(path: Path) -> str:

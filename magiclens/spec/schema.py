@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from pydantic import BaseModel
+from pydantic.errors import PydanticInvalidForJsonSchema
 from pydantic.json_schema import GenerateJsonSchema
 
 from magiclens.profiles.machines import PROCESSES, machines
@@ -24,7 +25,7 @@ SINGLE = (*DEFAULT_STAGES, "encoder")
 LISTS = {"exporters": "exporter", "renderers": "renderer"}
 
 
-class _Draft7(GenerateJsonSchema):
+class Draft7(GenerateJsonSchema):
     """Pydantic's generator, with defaults as a spec writes them."""
 
     def encode_default(self, dft: Any) -> Any:
@@ -34,7 +35,7 @@ class _Draft7(GenerateJsonSchema):
 
 def json_schema(scenarios: Classes, stages: Mapping[str, Classes], art: Iterable[str]) -> dict[str, Any]:
     """The schema of a whole spec; ``stages`` is by kind."""
-    spec = Spec.model_json_schema(ref_template=f"{REF}{{model}}", schema_generator=_Draft7)
+    spec = Spec.model_json_schema(ref_template=f"{REF}{{model}}", schema_generator=Draft7)
     definitions = spec.pop("$defs")
     for noun, classes in {"scenario": scenarios, **stages}.items():
         for type_, cls in classes.items():
@@ -55,7 +56,10 @@ def json_schema(scenarios: Classes, stages: Mapping[str, Classes], art: Iterable
 def _definition(noun: str, type_: str, cls: type[BaseModel]) -> dict[str, Any]:
     """The options of one class and the ``type`` that picks it, its own definitions inside."""
     template = f"{REF}{noun}-{type_}/definitions/{{model}}"
-    schema = cls.model_json_schema(ref_template=template, schema_generator=_Draft7)
+    try:
+        schema = cls.model_json_schema(ref_template=template, schema_generator=Draft7)
+    except PydanticInvalidForJsonSchema:  # a plugin's, with options that JSON has no words for
+        schema = {"type": "object"}
     return {
         **schema,
         "properties": {"type": {"const": type_}, **schema.get("properties", {})},
@@ -66,7 +70,7 @@ def _definition(noun: str, type_: str, cls: type[BaseModel]) -> dict[str, Any]:
 
 def _machine(process: str, model: type[BaseModel]) -> dict[str, Any]:
     """The options of the machines of one process, and their names."""
-    schema = model.model_json_schema(schema_generator=_Draft7)
+    schema = model.model_json_schema(schema_generator=Draft7)
     names = [name for name, profile in machines().items() if profile.process == process]
     return {**schema, "properties": {"machine": {"enum": names}, **schema["properties"]}, "required": ["machine"]}
 

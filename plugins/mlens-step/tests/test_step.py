@@ -16,6 +16,7 @@ from mlens_step.part21 import DERIVED, YES, Parameter, Ref, encode
 from topology import faces
 
 from magiclens import FloatArray, InputError, IntArray, Run, Solid, StageError, load_plan, run_spec
+from magiclens.testing import ExporterContract
 
 ONE_EYE = "{type: single, source: {type: circles, seed: 7}, target: {art: heart}}"
 TWO_EYES = """{type: multi-view, source: {type: circles, seed: 7, size: 30mm}, views: [
@@ -116,6 +117,14 @@ def test_facets_pass_through_the_vertices_of_the_mesh(lens: str, made: Maker) ->
     body = read(run.folder / "lens.step")
     assert body.distances_mm(facet_vertices(run)).max() < 0.1e-3 + 1e-8
     assert body.distances_mm(facet_vertices(run, inside=1) + np.array([0.0, 0.0, 1e-3])).min() > 0.3e-3
+
+
+class TestSplines(ExporterContract):
+    stage = Step()
+
+
+class TestTriangles(ExporterContract):
+    stage = Step(surface="triangles")
 
 
 def assert_shell_closes(path: Path, volume_mm3: float) -> None:

@@ -10,6 +10,8 @@ from magiclens import hookimpl
 if TYPE_CHECKING:
     from magiclens import Stage
 
+mlens_contract = "1.0"
+
 
 @hookimpl
 def mlens_stages() -> Sequence[type[Stage]]:

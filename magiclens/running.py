@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections import defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -24,7 +24,7 @@ from magiclens.checks import (
     check_pictures,
     check_solid,
 )
-from magiclens.errors import InputError, StageError
+from magiclens.errors import InputError
 from magiclens.folder import appearing, save_heights
 from magiclens.manifest import (
     Scores,
@@ -35,11 +35,13 @@ from magiclens.manifest import (
     write_manifest,
 )
 from magiclens.observers import Observer
-from magiclens.plan import Plan, Step, load_plan
+from magiclens.plan import Plan, Step, compile_plan, load_plan
 from magiclens.profiles.machines import Machine
-from magiclens.registry import blaming
+from magiclens.registry import Blamed, Registry, blaming
 from magiclens.report.data import RunData, Zone
+from magiclens.spec.document import document_of
 from magiclens.spec.fields import Inputs
+from magiclens.spec.model import Spec
 from magiclens.stages import KINDS, Exporter, Progress, Renderer
 
 T = TypeVar("T")
@@ -47,13 +49,66 @@ Renders = dict[str, list[FloatArray]]
 Generators = dict[str, np.random.Generator]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Run:
     """A finished run: its folder, the manifest in it, and everything that was made on the way."""
 
     folder: Path
     manifest: dict[str, Any]
     data: RunData
+
+    @property
+    def sources(self) -> dict[str, FloatArray]:
+        """(H, W, C) float32, linear light, by name: what lies below the lens, on its paper or screen."""
+        return {view.source_name: view.source for view in self.data.scene.views}
+
+    @property
+    def targets(self) -> dict[str, FloatArray]:
+        """(H, W, C) float32, linear light, by view: what the eye shall see."""
+        return {view.name: view.target for view in self.data.scene.views}
+
+    @property
+    def renders(self) -> dict[str, dict[str, FloatArray]]:
+        """(R, R, C) float32, linear light, by renderer and view: what the eye sees."""
+        names = [view.name for view in self.data.scene.views]
+        return {name: dict(zip(names, pictures, strict=True)) for name, pictures in self.data.renders.items()}
+
+    @property
+    def heights(self) -> FloatArray:
+        """(N, N, m + 1, m + 1) float64, mm: the lens's top, see ``HeightField``."""
+        return self.data.height_field.heights_mm
+
+    @property
+    def scores(self) -> dict[str, dict[str, float | None]]:
+        """By view: ``psnr_db`` and ``ssim`` of each renderer, as the manifest has them."""
+        views = self.manifest["views"]
+        return {v["name"]: {k: x for k, x in v.items() if k.startswith(("psnr_db", "ssim"))} for v in views}
+
+    def __repr__(self) -> str:
+        return f"Run({str(self.folder)!r}: {self.manifest['scenario']}, {', '.join(self.scores)})"
+
+    def _repr_html_(self) -> str:
+        """The contact sheet, for notebooks."""
+        from magiclens.report.inline import contact_html
+
+        return contact_html(self.data)
+
+
+def run(
+    spec: str | Path | Mapping[str, Any] | Spec,
+    out_dir: str | Path | None = None,
+    overrides: Iterable[str] = (),
+    observer: Observer | None = None,
+) -> Run:
+    """Run a spec: a file, a mapping as its YAML would say it, or a ``Spec``; files named in the latter two start here.
+
+    The run folder is ``out/<name>`` unless told otherwise. Raises like ``run_plan``.
+    """
+    if isinstance(spec, str | Path):
+        return run_spec(spec, out_dir, overrides, observer)
+    data = spec.model_dump(mode="json", exclude_none=True) if isinstance(spec, Spec) else spec
+    plan = compile_plan(document_of(data, overrides), Registry.load())
+    return run_plan(plan, out_dir or Path("out", plan.spec.name), observer)
 
 
 def run_spec(
@@ -72,6 +127,8 @@ def run_plan(plan: Plan, out_dir: str | Path, observer: Observer | None = None) 
     """
     out, observer = Path(out_dir), observer or Observer()
     worker = _Worker(plan, observer)
+    for failure in plan.registry.failures:
+        observer.notice(f"{failure}; see 'mlens plugins'")
     try:
         with appearing(out) as folder:
             data = _make(plan, folder, worker)
@@ -124,7 +181,7 @@ class _Worker:
             try:
                 check(artifact)
             except BadArtifact as error:
-                raise StageError(f"{step} broke its contract: {error}") from error
+                raise Blamed(f"{step} broke its contract: {error}") from error
             return artifact
 
 

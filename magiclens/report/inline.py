@@ -1,0 +1,28 @@
+"""The contact sheet inside a notebook."""
+
+from __future__ import annotations
+
+import base64
+import io
+from html import escape
+
+from magiclens.report.contact import contact_sheet
+from magiclens.report.data import RunData
+from magiclens.report.photographs import photographs
+from magiclens.report.sheet import sheet
+
+WIDEST = 960
+"""Pixels."""
+
+
+def contact_html(data: RunData) -> str:
+    """A figure whose picture is within it; names that users wrote are escaped."""
+    figure = contact_sheet(data, photographs(data))
+    picture = sheet(figure.rows)
+    if picture.width > WIDEST:
+        picture = picture.resize((WIDEST, picture.height * WIDEST // picture.width))
+    content = io.BytesIO()
+    picture.save(content, "PNG")
+    name, uri = escape(data.manifest["name"]), base64.b64encode(content.getvalue()).decode()
+    image = f'<img src="data:image/png;base64,{uri}" alt="{name}: {escape(figure.caption)}">'
+    return f"<figure>{image}<figcaption>{name}. {escape(figure.caption)}</figcaption></figure>"

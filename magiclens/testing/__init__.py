@@ -1,0 +1,39 @@
+"""Contract tests for stages. A plugin's author subclasses one class per stage, and pytest does the rest:
+
+    from magiclens.testing import ExporterContract
+
+    class TestMine(ExporterContract):
+        stage = Mine()
+
+What the classes ask is what runs rely on: equal seeds give equal artifacts, inputs stay as they are, artifacts have the
+shapes and units that ``magiclens.stages`` promises. ``scenes`` may name other scenes than the usual two.
+"""
+
+from magiclens.testing.annealer import AnnealerContract
+from magiclens.testing.art import ArtContract
+from magiclens.testing.encoder import EncoderContract
+from magiclens.testing.exporter import ExporterContract
+from magiclens.testing.finisher import FinisherContract
+from magiclens.testing.integrator import IntegratorContract
+from magiclens.testing.matcher import MatcherContract
+from magiclens.testing.renderer import RendererContract
+from magiclens.testing.scenario import ScenarioContract
+from magiclens.testing.scenes import bumpy_solid, one_view, two_eyes, two_turns
+from magiclens.testing.stage import StageContract
+
+__all__ = [
+    "AnnealerContract",
+    "ArtContract",
+    "EncoderContract",
+    "ExporterContract",
+    "FinisherContract",
+    "IntegratorContract",
+    "MatcherContract",
+    "RendererContract",
+    "ScenarioContract",
+    "StageContract",
+    "bumpy_solid",
+    "one_view",
+    "two_eyes",
+    "two_turns",
+]

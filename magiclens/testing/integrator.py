@@ -1,0 +1,78 @@
+"""The contract of integrators."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from magiclens.artifacts import FloatArray, HeightField, Scene
+from magiclens.checks import check_height_field
+from magiclens.meshing.solid import solid_from_heights
+from magiclens.stages import Integrator, Progress
+from magiclens.testing.scenes import an_assignment, ramps
+from magiclens.testing.stage import Made, StageContract
+
+SLACK_MM, SLACK_DEG = 1e-6, 2.0
+
+
+class IntegratorContract(StageContract):
+    """The surface keeps its limits, and facets look where they were told to.
+
+    ``aim_mm``: the most by which the middle of a facet may miss its patch.
+    """
+
+    stage: Integrator
+    aim_mm = 1.5
+
+    def given(self, scene: Scene) -> tuple[Any, ...]:
+        """See StageContract."""
+        return scene, an_assignment(scene)
+
+    def work(self, given: tuple[Any, ...], rng: np.random.Generator, progress: Progress) -> HeightField:
+        """See StageContract."""
+        scene, assignment = given
+        return self.stage.integrate(scene, assignment, progress)
+
+    def check(self, given: tuple[Any, ...], artifact: Any) -> None:
+        """See StageContract."""
+        check_height_field(given[0].lens, artifact)
+
+    def test_the_surface_stays_within_its_relief(self, scene: Scene, made: Made) -> None:
+        """Heights are millimetres above the reference plane."""
+        tallest, limit = np.abs(made.artifact.heights_mm).max(), scene.lens.relief_mm
+        assert tallest <= limit + SLACK_MM, f"it leaves the reference plane by {tallest:.3g} mm, the limit is {limit:g}"
+
+    def test_no_micro_facet_is_steeper_than_the_limit(self, scene: Scene, made: Made) -> None:
+        """The angle between its normal and +z."""
+        steepest, limit = _steepest_deg(made.artifact), scene.lens.max_slope_deg
+        assert steepest <= limit + SLACK_DEG, f"a micro-facet slopes by {steepest:.1f} deg, the limit is {limit:g}"
+
+    def test_facets_look_where_they_were_told_to(self, scene: Scene, made: Made) -> None:
+        """Traced: signs, axes and units are right."""
+        wanted = scene.lens.facet_centres_mm() + made.given[1].offsets_mm
+        missed = np.linalg.norm(_seen_mm(scene, made.artifact) - wanted, axis=-1)
+        row, column = np.unravel_index(missed.argmax(), missed.shape)
+        assert missed.max() <= self.aim_mm, (
+            f"facet row {row}, column {column} looks {missed.max():.2f} mm off its patch, {self.aim_mm:g} will do"
+        )
+
+
+def _steepest_deg(built: HeightField) -> float:
+    points = built.facet_points_mm()
+    along = points[:, :, :-1, 1:] - points[:, :, :-1, :-1]
+    down = points[:, :, 1:, :-1] - points[:, :, :-1, :-1]
+    normals = np.cross(down, along)
+    upright = np.abs(normals[..., 2]) / np.linalg.norm(normals, axis=-1)
+    return float(np.degrees(np.arccos(np.clip(upright, 0, 1))).max())
+
+
+def _seen_mm(scene: Scene, built: HeightField) -> FloatArray:
+    """(N, N, 2) the places of the source, lens frame, that the first view's eye sees in the middles of the facets."""
+    from magiclens.rendering.tracer import Tracer
+
+    n, size = scene.lens.facets, scene.lens.source_size_mm
+    (picture, *_) = Tracer(resolution=16 * n, samples=2).render(ramps(scene), solid_from_heights(built))
+    blocks = picture.reshape(n, 16, n, 16, 3)[:, 6:10, :, 6:10].astype(np.float64).mean(axis=(1, 3))
+    seen: FloatArray = (blocks[..., :2] / np.maximum(blocks[..., 2:], 1e-6) - 0.5) * size
+    return seen

@@ -1,0 +1,23 @@
+"""Whether triangles enclose something."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from magiclens.artifacts import FloatArray, IntArray
+
+
+def assert_closed(vertices: FloatArray, faces: IntArray) -> None:
+    """Fail unless the mesh is closed and its normals point outward."""
+    import trimesh
+
+    mesh = trimesh.Trimesh(np.asarray(vertices), np.asarray(faces), process=False)
+    assert mesh.is_watertight, "the mesh is not closed: some edges belong to one face alone"
+    assert mesh.is_winding_consistent, "neighbouring faces look to different sides"
+    assert mesh.volume > 0, "the normals point inward"
+
+
+def volume_mm3(vertices: FloatArray, faces: IntArray) -> float:
+    """Of a closed mesh."""
+    a, b, c = (np.asarray(vertices, np.float64)[faces[:, k]] for k in range(3))
+    return float(np.einsum("fi,fi->", a, np.cross(b, c)) / 6)

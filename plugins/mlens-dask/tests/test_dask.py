@@ -1,0 +1,241 @@
+"""A real scheduler and real worker processes: the same bytes as serial, and no loss when a worker is killed."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+from distributed import LocalCluster
+from mlens_dask.executor import Dask
+from mlens_dask.matcher import Blocks
+from typer.testing import CliRunner
+
+from magiclens import Candidates, Exhaustive, InputError, Scene, StageError, load_plan, raising, run_spec
+from magiclens.cli import app
+
+SPEC = """\
+scenario: {type: single, source: {type: circles, seed: 7, size: 12mm}, target: {art: heart}}
+lens: {size: 12mm, facets: 4, microfacets: 4, thickness: 15mm, relief: 4mm}
+pipeline: {matcher: {type: exhaustive, window: 10%, scales: [0.3, 0.8], candidates: 9}}
+"""
+SWEEP = ["--set", "lens.facets=2,3,4"]
+
+
+@pytest.fixture(scope="module")
+def spec(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("spec") / "tiny.yaml"
+    path.write_text(SPEC, encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def scheduler() -> Iterator[str]:
+    """The address of a scheduler with one worker, which somebody else has started."""
+    with LocalCluster(n_workers=1, threads_per_worker=2, dashboard_address="127.0.0.1:0") as cluster:
+        yield cluster.scheduler_address
+
+
+@pytest.fixture(scope="module")
+def serial(spec: Path) -> dict[str, bytes]:
+    """What a sweep without a cluster writes."""
+    return swept(spec, spec.parent / "serial")
+
+
+@pytest.fixture(scope="module")
+def scene(spec: Path) -> Scene:
+    return load_plan(spec, ["lens.facets=5"]).scene()
+
+
+def swept(spec: Path, out: Path, *options: str) -> dict[str, bytes]:
+    result = CliRunner().invoke(app, ["sweep", str(spec), *SWEEP, "--out", str(out), "--quiet", *options])
+    assert result.exit_code == 0, result.output
+    return contents(out)
+
+
+def contents(out: Path) -> dict[str, bytes]:
+    """Every file of every run folder; timings left out of the manifests."""
+    found = {path.relative_to(out).as_posix(): path.read_bytes() for path in out.glob("*/**/*") if path.is_file()}
+    manifests = {name: untimed(text) for name, text in found.items() if name.endswith("manifest.json")}
+    return {**found, **manifests}
+
+
+def untimed(manifest: bytes) -> bytes:
+    facts = json.loads(manifest)
+    stages = [{**stage, "seconds": 0} for stage in facts["stages"]]
+    return json.dumps({**facts, "stages": stages, "seconds": 0}).encode()
+
+
+def square(number: int) -> int:
+    if number == 3:
+        raise InputError("three is not allowed")
+    return number * number
+
+
+def killing_once(flag: Path, number: int) -> int:
+    """Kills its own process the first time that it is given 1."""
+    if number == 1 and not flag.exists():
+        flag.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+def deadly(number: int) -> int:
+    if number == 1:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+def overlapping(lock: Path, number: int) -> int:
+    """Fails if another item is worked on meanwhile."""
+    lock.touch(exist_ok=False)
+    time.sleep(0.1)
+    lock.unlink()
+    return number
+
+
+def environment(_: int) -> str | None:
+    return os.environ.get("NUMBA_NUM_THREADS")
+
+
+def test_results_come_in_order_and_a_failure_stops_no_other(scheduler: str) -> None:
+    results = list(Dask(address=scheduler).map(square, range(6)))
+    assert [results[k] for k in (0, 1, 2, 4, 5)] == [0, 1, 4, 16, 25]
+    assert isinstance(results[3], InputError)
+
+
+def test_equal_items_are_each_worked_on(scheduler: str) -> None:
+    assert list(Dask(address=scheduler).map(square, [2, 2, 2])) == [4, 4, 4]
+
+
+def test_a_worker_with_several_threads_works_on_one_item_at_a_time(scheduler: str, tmp_path: Path) -> None:
+    results = raising(Dask(address=scheduler).map(partial(overlapping, tmp_path / "lock"), range(6)))
+    assert list(results) == [0, 1, 2, 3, 4, 5]
+
+
+def test_what_a_killed_worker_had_is_done_by_others(tmp_path: Path) -> None:
+    results = list(Dask(workers=2).map(partial(killing_once, tmp_path / "flag"), range(6)))
+    assert (tmp_path / "flag").exists()
+    assert results == [0, 1, 2, 3, 4, 5]
+
+
+def test_an_item_that_kills_every_worker_is_given_up_and_stops_no_other() -> None:
+    results = list(Dask(workers=1).map(deadly, range(3)))
+    assert (results[0], results[2]) == (0, 2)
+    assert isinstance(results[1], StageError)
+    assert "4 workers died of this" in str(results[1])
+
+
+def test_workers_of_our_own_have_the_threads_asked_for() -> None:
+    assert list(Dask(workers=1, threads=3).map(environment, range(1))) == ["3"]
+
+
+def test_a_scheduler_that_is_not_there_is_named() -> None:
+    with pytest.raises(InputError, match=r"address: no scheduler answers at 'tcp://127.0.0.1:1'"):
+        list(Dask(address="tcp://127.0.0.1:1").map(square, range(2)))
+
+
+def test_a_sweep_on_two_workers_writes_the_same_bytes_as_serial(
+    spec: Path, serial: dict[str, bytes], tmp_path: Path
+) -> None:
+    found = swept(spec, tmp_path / "out", "--executor", "dask", "--executor-set", "workers=2")
+    assert len([name for name in serial if name.endswith("manifest.json")]) == 3
+    assert found == serial
+
+
+def test_a_sweep_on_a_scheduler_that_is_running_writes_the_same_bytes(
+    spec: Path, serial: dict[str, bytes], scheduler: str, tmp_path: Path
+) -> None:
+    found = swept(spec, tmp_path / "out", "--executor", "dask", "--executor-set", f"address={scheduler}")
+    assert found == serial
+
+
+def test_a_worker_that_is_killed_in_mid_sweep_loses_nothing(
+    spec: Path, serial: dict[str, bytes], tmp_path: Path
+) -> None:
+    out, others = tmp_path / "out", set(psutil.Process().children())
+    killed: list[int] = []
+    killer = threading.Thread(target=kill_one, args=(out, others, killed))
+    killer.start()
+    found = swept(spec, out, "--executor", "dask", "--executor-set", "workers=2")
+    killer.join()
+    assert killed
+    assert found == serial
+    assert sorted(path.name for path in out.iterdir() if path.name.startswith(".")) == []
+
+
+def kill_one(out: Path, others: set[psutil.Process], killed: list[int]) -> None:
+    """Kill a worker as soon as one run is finished and another is half done."""
+    limit = time.monotonic() + 120
+    while not (list(out.glob("*/manifest.json")) and list(out.glob(".*-*/spec.yaml"))):
+        if time.monotonic() > limit:
+            return
+        time.sleep(0.01)
+    workers = [one for one in psutil.Process().children() if one not in others and "spawn_main" in str(one.cmdline())]
+    workers[0].kill()
+    killed.append(workers[0].pid)
+
+
+@pytest.mark.parametrize("blocks", [None, 1, 2, 5, 99])
+def test_blocks_of_facets_are_matched_byte_by_byte_as_all_at_once(
+    scene: Scene, scheduler: str, blocks: int | None
+) -> None:
+    options: dict[str, Any] = {"scales": (0.3, 0.8), "candidates": 9}
+    matcher = Blocks(cluster=Dask(address=scheduler), blocks=blocks, **options)
+    done: list[float] = []
+    found = matcher.match(scene, np.random.default_rng(0), done.append)
+    assert same(found, Exhaustive(**options).match(scene, np.random.default_rng(0)))
+    assert done[-1] == 1
+
+
+def same(one: Candidates, other: Candidates) -> bool:
+    names = ("offsets_mm", "maps", "errors")
+    both = [(getattr(one, name), getattr(other, name)) for name in names]
+    return all(a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes() for a, b in both)
+
+
+def test_a_facet_without_a_patch_is_named_by_its_place_in_the_lens(scene: Scene, scheduler: str) -> None:
+    options: dict[str, Any] = {"scales": (60.0,), "candidates": 4}
+    rng = np.random.default_rng(0)
+    with pytest.raises(InputError) as alone:
+        Exhaustive(**options).match(scene, rng)
+    with pytest.raises(InputError) as spread:
+        Blocks(cluster=Dask(address=scheduler), **options).match(scene, rng)
+    assert str(spread.value) == str(alone.value)
+
+
+def test_a_lens_matched_in_blocks_is_the_same_lens(spec: Path, scheduler: str, tmp_path: Path) -> None:
+    chosen = f"{{type: dask, window: 10%, scales: [0.3, 0.8], candidates: 9, cluster: {{address: '{scheduler}'}}}}"
+    spread = run_spec(spec, tmp_path / "spread", [f"pipeline.matcher={chosen}", "lens.facets=3"])
+    alone = run_spec(spec, tmp_path / "alone", ["lens.facets=3"])
+    for name in ("lens.stl", "renders/tracer/single.png", "heights.npz"):
+        assert (spread.folder / name).read_bytes() == (alone.folder / name).read_bytes()
+
+
+def test_on_a_worker_a_block_matcher_needs_no_cluster_of_its_own(spec: Path, scheduler: str, tmp_path: Path) -> None:
+    command = ["sweep", str(spec), "--set", "pipeline.matcher.type=dask", "--set", "lens.facets=3", "--quiet"]
+    more = ["--executor", "dask", "--executor-set", f"address={scheduler}", "--out", str(tmp_path / "out")]
+    result = CliRunner().invoke(app, [*command, *more])
+    assert result.exit_code == 0, result.output
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ("pipeline.matcher={type: dask, cluster: {wokers: 2}}", "wokers: unknown option; did you mean 'workers'?"),
+        ("pipeline.matcher={type: dask, blocks: 0}", "blocks: must be at least 1, got 0"),
+    ],
+)
+def test_wrong_options_are_named(spec: Path, setting: str, message: str) -> None:
+    result = CliRunner().invoke(app, ["check", str(spec), "--set", setting])
+    assert result.exit_code == 2
+    assert message in result.stderr

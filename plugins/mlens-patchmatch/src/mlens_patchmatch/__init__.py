@@ -1,0 +1,21 @@
+"""A plugin for magiclens: the matcher ``patchmatch``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from magiclens import hookimpl
+
+if TYPE_CHECKING:
+    from magiclens import Stage
+
+mlens_contract = "1.0"
+
+
+@hookimpl
+def mlens_stages() -> Sequence[type[Stage]]:
+    """The matcher."""
+    from mlens_patchmatch.matcher import PatchMatch
+
+    return [PatchMatch]
