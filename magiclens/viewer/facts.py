@@ -1,0 +1,104 @@
+"""What the viewer's script is told of a run: the lens, its views and sources, small enough for a page."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from magiclens.artifacts import FloatArray, HeightField, Lens, View
+from magiclens.folder import load_heights
+from magiclens.manifest import source_path, target_path
+from magiclens.reopen import Reopened
+from magiclens.viewer.packing import pack
+from magiclens.viewer.pictures import fitting, small
+
+MOST_BYTES = 2_200_000
+"""Of a fragment. A page with other pictures around it stays below 3 MB."""
+
+PROGRAM_BYTES = 130_000
+"""Set aside for markup, style, script, small pictures; in characters."""
+LENS_BYTES = 750_000
+LEAST_SOURCE_BYTES = 100_000
+"""Below this a source loses too much: rather leave frames out."""
+CHIP = 40
+"""Pixels of a target in the list of views."""
+MOST_CHOICES = 4
+"""More sources than this are frames of a film."""
+
+
+def facts(lens: Reopened) -> dict[str, Any]:
+    """Everything the script needs, ready for JSON. Raises InputError if the folder has no heights."""
+    heights = load_heights(lens.folder)
+    packed = pack(heights, LENS_BYTES)
+    room = (MOST_BYTES - PROGRAM_BYTES) * 3 // 4 - len(packed.content)
+    views = _kept(lens.scene.views, room // LEAST_SOURCE_BYTES)
+    sources = list(dict.fromkeys(source_path(view) for view in views))
+    medium, film = lens.plan.spec.medium, len(sources) > MOST_CHOICES
+    glass = {
+        "heights": base64.b64encode(packed.content).decode(),
+        "degree": packed.degree,
+        "step": packed.step,
+        "darkest": medium.black / medium.white if medium else 0.0,
+        "steepest": max(_steepest_deg(heights, lens.plan.lens), 1.0),
+        **_lens(lens.plan.lens, None if lens.plan.lens.cells == "vertical" else lens.scene.reference_eye_mm),
+    }
+    return {
+        "lens": glass,
+        "distance": float(np.mean([view.eye_mm[2] for view in views])) - lens.plan.lens.thickness_mm,
+        "sources": [fitting(lens.folder / path, room // len(sources)) for path in sources],
+        "film": film,
+        "dropped": len(lens.scene.views) - len(views),
+        "views": [_view(view, sources, None if film else lens.folder) for view in views],
+    }
+
+
+def _kept(views: tuple[View, ...], most_sources: int) -> list[View]:
+    """The views of at most so many sources, evenly chosen."""
+    sources = list(dict.fromkeys(view.source_name for view in views))
+    most = max(most_sources, 1)
+    if len(sources) > most:
+        sources = [sources[k * len(sources) // most] for k in range(most)]
+    return [view for view in views if view.source_name in sources]
+
+
+def _view(view: View, sources: list[str], folder: Path | None) -> dict[str, Any]:
+    """With a small picture of its target from the run folder, unless it is a frame of a film."""
+    return {
+        "name": view.name,
+        "label": view.name.replace("-", " "),
+        "eye": [float(x) for x in view.eye_mm],
+        "rotation": view.rotation_deg,
+        "source": sources.index(source_path(view)),
+        "target": small(folder / target_path(view), CHIP) if folder else "",
+    }
+
+
+def _lens(lens: Lens, eye: FloatArray | None) -> dict[str, Any]:
+    """Lengths in mm; ``base``: lowest and highest x, then y, of the flat bottom."""
+    return {
+        "facets": lens.facets, "microfacets": lens.microfacets, "size": lens.size_mm, "pitch": lens.pitch_mm,
+        "wall": lens.wall_mm, "bleed": lens.bleed_mm, "relief": lens.relief_mm, "thickness": lens.thickness_mm,
+        "gap": lens.gap_mm, "ior": lens.ior, "source_size": lens.source_size_mm,
+        "eye": None if eye is None else [float(x) for x in eye], "base": _base(lens, eye),
+    }  # fmt: skip
+
+
+def _base(lens: Lens, eye: FloatArray | None) -> list[float]:
+    """The rectangle of the flat bottom, which does not depend on the heights."""
+    from magiclens.meshing.solid import solid_from_heights
+    from magiclens.rendering.grid import grid_of
+
+    coarse = replace(lens, microfacets=1)
+    flat = solid_from_heights(HeightField(coarse, np.zeros((lens.facets, lens.facets, 2, 2)), eye))
+    return [float(x) for x in grid_of(flat, coarse).floor]
+
+
+def _steepest_deg(heights: FloatArray, lens: Lens) -> float:
+    """The slope, degrees, that only one micro-facet in two hundred exceeds; in the reference plane's measure."""
+    width = (lens.pitch_mm - lens.wall_mm) / lens.microfacets
+    across, down = np.diff(heights, axis=3)[:, :, :-1], np.diff(heights, axis=2)[..., :-1]
+    return float(np.degrees(np.arctan(np.percentile(np.hypot(across, down) / width, 99.5))))

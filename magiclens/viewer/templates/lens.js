@@ -1,0 +1,112 @@
+// Unpacks the lens: coefficients of smooth functions, facet by facet, become the heights of all its micro-facets.
+
+function bytes(text) {
+  const raw = atob(text);
+  const found = new Uint8Array(raw.length);
+  for (let i = 0; i < raw.length; i++) found[i] = raw.charCodeAt(i);
+  return found;
+}
+
+async function inflated(packed) {
+  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
+  return new Uint8Array(await new Response(stream).arrayBuffer());
+}
+
+// Orthonormal polynomials over k evenly spaced points, by Gram and Schmidt; row d has degree d.
+function polynomials(k, most) {
+  const rows = [];
+  for (let degree = 0; degree <= most; degree++) {
+    const row = Float64Array.from({ length: k }, (_, i) => {
+      const x = (2 * i) / (k - 1) - 1;
+      return degree === 0 ? 1 : x * rows[degree - 1][i];
+    });
+    for (let again = 0; again < 2; again++) {
+      for (const other of rows) {
+        let share = 0;
+        for (let i = 0; i < k; i++) share += row[i] * other[i];
+        for (let i = 0; i < k; i++) row[i] -= share * other[i];
+      }
+    }
+    const norm = Math.hypot(...row);
+    rows.push(row.map((value) => value / norm));
+  }
+  return rows;
+}
+
+// Planes of coefficients, one per pair of degrees, each as integers whose bytes lie apart.
+function coefficients(content, count) {
+  const quarter = content.length / 4, found = new Int32Array(quarter);
+  for (let i = 0; i < quarter; i++) {
+    found[i] = content[i] | (content[i + quarter] << 8) | (content[i + 2 * quarter] << 16) | (content[i + 3 * quarter] << 24);
+  }
+  return (plane, facet) => found[plane * count + facet];
+}
+
+// All heights on the grid's lines, rows from +y, as the w of the shaders; the rim goes on with the outer slope.
+async function unpack(lens) {
+  const n = lens.facets, k = lens.microfacets + 1, side = n * k + 2, most = Math.min(lens.degree, k - 1);
+  const value = coefficients(await inflated(bytes(lens.heights)), n * n), basis = polynomials(k, most);
+  const grid = new Float32Array(side * side), half = new Float64Array(k * (most + 1));
+  for (let facet = 0; facet < n * n; facet++) {
+    half.fill(0);
+    for (let p = 0, plane = 0; p <= lens.degree; p++) {
+      for (let q = 0; q <= lens.degree - p; q++, plane++) {
+        const c = value(plane, facet) * lens.step;
+        if (c) for (let i = 0; i < k; i++) half[i * (most + 1) + q] += c * basis[p][i];
+      }
+    }
+    const top = Math.floor(facet / n) * k + 1, left = (facet % n) * k + 1;
+    for (let i = 0; i < k; i++) {
+      for (let j = 0; j < k; j++) {
+        let h = 0;
+        for (let q = 0; q <= most; q++) h += half[i * (most + 1) + q] * basis[q][j];
+        grid[(top + i) * side + left + j] = h;
+      }
+    }
+  }
+  extend(grid, side, lens);
+  const eyeDistance = lens.eye ? lens.eye[2] - lens.thickness : 0;
+  if (lens.eye) for (let i = 0; i < grid.length; i++) grid[i] = eyeDistance * Math.expm1(grid[i] / eyeDistance);
+  return { grid, side, perDistance: lens.eye ? 1 / eyeDistance : 0, ...extremes(grid, eyeDistance), ...steps(grid, side, n, k) };
+}
+
+function extend(grid, side, lens) {
+  const beyond = lens.bleed ? lens.bleed + lens.wall / 2 : 0;
+  const onward = (beyond / (lens.pitch - lens.wall)) * lens.microfacets;
+  const bound = lens.bleed ? lens.relief : Infinity;
+  const go = (to, near, next) => {
+    grid[to] = Math.min(Math.max(grid[near] - onward * (grid[next] - grid[near]), -bound), bound);
+  };
+  const last = side - 1;
+  for (let i = 1; i < last; i++) {
+    go(i, side + i, 2 * side + i);
+    go(last * side + i, (last - 1) * side + i, (last - 2) * side + i);
+  }
+  for (let i = 0; i <= last; i++) {
+    go(i * side, i * side + 1, i * side + 2);
+    go(i * side + last, i * side + last - 1, i * side + last - 2);
+  }
+}
+
+function extremes(grid, eyeDistance) {
+  let lowest = Infinity, most = -Infinity;
+  for (const w of grid) {
+    if (w < lowest) lowest = w;
+    if (w > most) most = w;
+  }
+  const z = (w) => (eyeDistance ? w / (1 + w / eyeDistance) : w);
+  return { lowest: z(lowest), highest: z(most) };
+}
+
+// The step that only one in two hundred places on the facets' borders exceeds.
+function steps(grid, side, n, k) {
+  const found = [];
+  for (let facet = 1; facet < n; facet++) {
+    for (let along = 1; along < side - 1; along += 2) {
+      const a = facet * k, b = a + 1;
+      found.push(Math.abs(grid[along * side + a] - grid[along * side + b]), Math.abs(grid[a * side + along] - grid[b * side + along]));
+    }
+  }
+  found.sort((a, b) => a - b);
+  return { highestStep: Math.max(found[Math.floor(found.length * 0.995)] || 0, 1e-3) };
+}

@@ -1,0 +1,435 @@
+"""The viewer in a real browser, over file://, against the built-in tracer."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from PIL import Image
+from playwright.sync_api import Browser, CDPSession, Page, sync_playwright
+from typer.testing import CliRunner
+
+from magiclens.artifacts import FloatArray, View
+from magiclens.cli import app
+from magiclens.images import read_image, to_display, to_linear
+from magiclens.images.files import write_png
+from magiclens.images.score import psnr_db
+from magiclens.rendering.trace import picture, trace
+from magiclens.reopen import Reopened, reopen
+from magiclens.running import run_spec
+from magiclens.viewer import MOST_BYTES, fragment, page
+from magiclens.viewer.facts import _kept
+from magiclens.viewer.packing import pack, unpack
+from magiclens.viewer.page import _for_script
+from magiclens.viewer.pictures import fitting
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
+ARGUMENTS = [
+    "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+    "--disable-background-networking",
+]  # fmt: skip
+SPECS = Path(__file__).parent.parent / "specs"
+PIXELS, SAMPLES = 128, 2
+COMMON = ["pipeline.exporters=[]", f"pipeline.renderers=[{{type: tracer, resolution: {PIXELS}, samples: {SAMPLES}}}]"]
+LENSES = {
+    "rotating": [
+        "lens={size: 40mm, facets: 8, microfacets: 12, thickness: 30mm}",
+        "scenario.targets=[{art: heart}, {art: star}]",
+        "scenario.angles=[0deg, 90deg]",
+    ],
+    "multi-view": [
+        "lens={size: 30mm, facets: 6, microfacets: 10, thickness: 30mm}",
+        "scenario.source={type: circles, seed: 7, size: 60mm}",
+        "pipeline.matcher={type: multi-view, window: 6mm, step: 0.5mm, scales: [0.15, 0.5], candidates: 16}",
+        "pipeline.rematch=0",
+    ],
+    "milled": [
+        "lens={size: 30mm, facets: 6, microfacets: 8, thickness: 20mm, gap: 30mm, cells: vertical}",
+        "medium={black: 10%, white: 80%}",
+    ],
+}
+CHANGES = {
+    "shifted": {"x": 3.0, "y": -2.0},
+    "turned": {"angle": 5.0},
+    "lifted": {"lift": 6.0},
+    "another eye": {"eyeX": 45.0, "eyeY": -30.0},
+    "all at once": {"x": -4.0, "y": 2.5, "angle": -13.0, "lift": 4.0, "eyeX": -60.0, "eyeDistance": -60.0},
+}
+Pose = dict[str, float]
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Runs of small lenses, each with its view.html."""
+    made = {name: tmp_path_factory.mktemp("runs") / name for name in LENSES}
+    for name, folder in made.items():
+        run_spec(SPECS / f"{name}.yaml", folder, [*LENSES[name], *COMMON])
+        done = CliRunner().invoke(app, ["view", str(folder), "--no-open"])
+        assert done.exit_code == 0, done.output
+    return made
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    program = next(filter(None, map(shutil.which, BROWSERS)), None)
+    assert program, f"install one of {', '.join(BROWSERS)}"
+    with sync_playwright() as playwright:
+        opened = playwright.chromium.launch(executable_path=program, args=ARGUMENTS)
+        yield opened
+        opened.close()
+
+
+@pytest.fixture
+def visit(browser: Browser, folders: dict[str, Path]) -> Iterator[Any]:
+    """Opens a run's viewer; fails at the end if the page complained or asked for anything but itself."""
+    contexts, complaints = [], []
+
+    def opened(name: str = "rotating", width: int = 340, height: int = 600, script: str = "", **options: Any) -> Page:
+        options = {"reduced_motion": "reduce"} | options
+        contexts.append(browser.new_context(viewport={"width": width, "height": height}, **options))
+        tab = contexts[-1].new_page()
+        address = (folders[name] / "view.html").as_uri()
+        tab.on("console", lambda said: complaints.append(said.text) if said.type == "error" else None)
+        tab.on("pageerror", lambda error: complaints.append(str(error)))
+        tab.on("request", lambda r: None if r.url.startswith((address, "data:", "blob:")) else complaints.append(r.url))
+        if script:
+            tab.add_init_script(script)
+        tab.goto(address)
+        if not script:
+            tab.evaluate("magiclens.ready")
+        return tab
+
+    yield opened
+    for context in contexts:
+        context.close()
+    assert complaints == []
+
+
+def captured(tab: Page, view: int, poses: list[Pose]) -> FloatArray:
+    """(len(poses), PIXELS, PIXELS, 3) linear light of the lens's own square over the source of a view."""
+    script = f"""([view, poses]) => {{
+        magiclens.show(view);
+        return poses.map((pose) => (magiclens.setPose(pose), magiclens.capture({PIXELS}, {SAMPLES})));
+    }}"""
+    return np.array(tab.evaluate(script, [view, poses])).reshape(-1, PIXELS, PIXELS, 3)
+
+
+def home(view: View, thickness_mm: float) -> Pose:
+    """Where lens and eye are when the view's target appears."""
+    x, y, z = view.eye_mm.tolist()
+    eye = {"eyeX": x, "eyeY": y, "eyeDistance": z - thickness_mm}
+    return {"x": 0.0, "y": 0.0, "angle": view.rotation_deg, "lift": 0.0, **eye}
+
+
+def turned(points: FloatArray, degrees: float) -> FloatArray:
+    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    return points @ np.array([[c, s], [-s, c]])
+
+
+def traced(lens: Reopened, view: View, pose: Pose, pixels: int = PIXELS) -> FloatArray:
+    """What the built-in tracer sees of a moved lens; the lens stays where it is, eye and source move instead."""
+    x, y, height = pose["eyeX"], pose["eyeY"], lens.plan.lens.thickness_mm + pose["eyeDistance"]
+    at = np.array([pose["x"], pose["y"]])
+    eye = np.array([*turned(np.array([x, y]) - at, -pose["angle"]), height - pose["lift"]])
+    moved = replace(lens.plan.lens, gap_mm=lens.plan.lens.gap_mm + pose["lift"])
+    hits = trace(lens.solid, moved, replace(view, eye_mm=eye, rotation_deg=0.0), pixels, SAMPLES)
+    hits[..., :2] = turned(hits[..., :2], pose["angle"]) + at
+    return picture(hits, view.source, moved.source_size_mm)
+
+
+def likeness(seen: FloatArray, wanted: FloatArray) -> float:
+    return psnr_db(*np.broadcast_arrays(to_display(seen), to_display(wanted)))
+
+
+def test_packed_heights_are_right_to_a_tenth_of_a_micrometre() -> None:
+    x = np.linspace(-1, 1, 9)
+    bend = np.random.default_rng(0).normal(size=(2, 6, 6, 1, 1))
+    heights = 2 * bend[0] + np.sin(bend[1] * x) * np.cos(x[:, None]) + 0.1 * x
+    packed = pack(heights, 100_000)
+    np.testing.assert_allclose(unpack(packed, 6, 9), heights, atol=1e-4)
+    assert packed.step < 1e-3
+
+
+def test_rough_heights_are_packed_more_coarsely_when_there_is_little_room() -> None:
+    heights = np.random.default_rng(0).normal(size=(8, 8, 5, 5))
+    packed = pack(heights, 3000)
+    assert len(packed.content) <= 3000
+    assert unpack(packed, 8, 5) == pytest.approx(heights, abs=0.3)
+
+
+@pytest.mark.parametrize("most", [200_000, 20_000, 900])
+def test_a_picture_fits_into_the_bytes_that_it_is_given(tmp_path: Path, most: int) -> None:
+    noise = np.random.default_rng(0).random((128, 128, 3)).astype(np.float32)
+    write_png(tmp_path / "noise.png", noise)
+    assert len(fitting(tmp_path / "noise.png", most)) <= most * 4 / 3 + 40
+
+
+def test_of_many_frames_some_are_kept_evenly(folders: dict[str, Path]) -> None:
+    view = reopen(folders["rotating"]).scene.views[0]
+    film = tuple(replace(view, name=f"frame-{k}", source_name=f"frame-{k}") for k in range(40))
+    assert [view.name for view in _kept(film, 4)] == ["frame-0", "frame-10", "frame-20", "frame-30"]
+    assert len(_kept(film, 99)) == 40
+
+
+def test_nothing_in_the_page_can_be_taken_for_markup(folders: dict[str, Path]) -> None:
+    text = page(folders["rotating"], '</title><script>alert("hi")</script>')
+    assert "<script>alert" not in text
+    assert json.loads(_for_script({"</script>": "<!--"})) == {"</script>": "<!--"}
+    assert "<" not in _for_script({"</script>": "<!--"})
+
+
+def test_a_fragment_is_one_section_of_bounded_size_that_names_no_other_place(folders: dict[str, Path]) -> None:
+    for folder in folders.values():
+        text = fragment(folder)
+        assert text.startswith("<section")
+        assert text.rstrip().endswith("</section>")
+        assert len(text.encode()) <= MOST_BYTES
+        assert not re.search(r"""(src|href)\s*=\s*["'](?!data:)|url\(|https?://|\bfetch\(|\bimport\b""", text)
+
+
+def test_the_command_lists_its_page_in_the_manifest(folders: dict[str, Path]) -> None:
+    manifest = json.loads((folders["rotating"] / "manifest.json").read_text())
+    assert "view.html" in [file["path"] for file in manifest["artifacts"]]
+
+
+def test_the_command_says_what_is_wrong(folders: dict[str, Path], tmp_path: Path) -> None:
+    bare = tmp_path / "bare"
+    bare.mkdir()
+    for name in ("manifest.json", "spec.yaml"):
+        shutil.copy(folders["rotating"] / name, bare)
+    for arguments, message in (
+        ([tmp_path], "is not a run folder"),
+        ([bare], "there is no heights.npz"),
+        ([folders["rotating"], "-o", tmp_path], "is a folder; name a file"),
+    ):
+        done = CliRunner().invoke(app, ["view", "--no-open", *map(str, arguments)])
+        assert done.exit_code == 2
+        assert message in done.output
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["bare", "manifest.json", "spec.yaml"]
+
+
+@pytest.mark.parametrize("name", list(LENSES))
+def test_in_its_place_the_lens_shows_what_the_tracer_saw(visit: Any, folders: dict[str, Path], name: str) -> None:
+    tab = visit(name)
+    for k, view in enumerate(reopen(folders[name]).scene.views):
+        (seen,) = captured(tab, k, [{}])
+        assert tab.evaluate("magiclens.atHome()")
+        wanted = read_image(folders[name] / f"renders/tracer/{view.name}.png")
+        assert likeness(np.rot90(seen, view.quarter_turns), wanted) > 40
+
+
+@pytest.mark.parametrize("name", list(LENSES))
+def test_out_of_its_place_the_lens_shows_what_the_tracer_sees(visit: Any, folders: dict[str, Path], name: str) -> None:
+    lens = reopen(folders[name])
+    views = lens.plan.on_medium(lens.printed_scene).views
+    at_home = home(views[-1], lens.plan.lens.thickness_mm)
+    poses = [{key: at_home[key] + change.get(key, 0.0) for key in at_home} for change in CHANGES.values()]
+    first, *seen = captured(visit(name), len(views) - 1, [at_home, *poses])
+    for picture_, pose, change in zip(seen, poses, CHANGES, strict=True):
+        assert likeness(picture_, traced(lens, views[-1], pose)) > 35, change
+        assert likeness(picture_, first) < 25, change
+
+
+def shown_in_place(tab: Page) -> FloatArray:
+    """A screenshot of where the lens belongs: display values."""
+    tab.evaluate("magiclens.settled()")
+    content = tab.screenshot(clip=tab.evaluate("magiclens.place()"))
+    return np.asarray(Image.open(BytesIO(content)).convert("RGB"), np.float32) / 255
+
+
+def looks_like(tab: Page, folder: Path) -> float:
+    """Of what is seen where the lens belongs, but for the line around it, and what the tracer sees there, in dB."""
+    lens = reopen(folder)
+    view = lens.printed_scene.views[0]
+    shot = shown_in_place(tab)
+    wanted = traced(lens, view, home(view, lens.plan.lens.thickness_mm), len(shot))
+    inner = (slice(2, -2), slice(2, -2))
+    return likeness(to_linear(shot)[inner], np.broadcast_to(wanted, shot.shape)[inner])
+
+
+def drag(tab: Page, steps: int = 6) -> None:
+    """Take the lens by its middle and let go of it nearly where it belongs."""
+    place, pose = tab.evaluate("magiclens.place()"), tab.evaluate("magiclens.pose()")
+    per_mm, x, y = place["width"] / 40, place["x"] + place["width"] / 2, place["y"] + place["height"] / 2
+    tab.mouse.move(x + pose["x"] * per_mm, y - pose["y"] * per_mm)
+    tab.mouse.down()
+    tab.mouse.move(x + 0.9 * per_mm, y - 0.7 * per_mm, steps=steps)
+    tab.mouse.up()
+
+
+def test_a_lens_dragged_onto_its_outline_shows_the_target(visit: Any, folders: dict[str, Path]) -> None:
+    tab = visit(width=640)
+    assert tab.locator('[data-part="hint"]').inner_text() == "Drag the lens onto the outline"
+    assert looks_like(tab, folders["rotating"]) < 15
+    drag(tab)
+    assert looks_like(tab, folders["rotating"]) > 25
+    tab.wait_for_function("document.querySelector('[data-part=readout]').textContent === 'In place: rotation 000.'")
+    assert tab.locator('[data-part="hint"]').inner_text() == "Now turn it: there is more to see"
+
+
+def touch(session: CDPSession, kind: str, *points: tuple[float, float]) -> None:
+    session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": [{"x": x, "y": y} for x, y in points]})
+
+
+def test_on_a_phone_a_finger_moves_the_lens_and_nothing_is_cut_off(visit: Any, folders: dict[str, Path]) -> None:
+    tab = visit(width=375, height=812, has_touch=True, is_mobile=True)
+    assert tab.evaluate("document.documentElement.scrollWidth") == 375
+    place, session = tab.evaluate("magiclens.place()"), tab.context.new_cdp_session(tab)
+    pose, per_mm = tab.evaluate("magiclens.pose()"), place["width"] / 40
+    x, y = place["x"] + place["width"] / 2, place["y"] + place["height"] / 2
+    for k in range(7):
+        far = per_mm * (1 - k / 6)
+        touch(session, "touchMove" if k else "touchStart", (x + pose["x"] * far, y - pose["y"] * far))
+    touch(session, "touchEnd")
+    assert tab.evaluate("magiclens.atHome()")
+    assert tab.evaluate("scrollY") == 0
+    assert looks_like(tab, folders["rotating"]) > 25
+
+
+def test_two_fingers_turn_and_lift(visit: Any) -> None:
+    tab = visit(width=375, height=812, has_touch=True, is_mobile=True)
+    tab.evaluate("magiclens.show(0)")
+    place, session = tab.evaluate("magiclens.place()"), tab.context.new_cdp_session(tab)
+    x, y, far = place["x"] + place["width"] / 2, place["y"] + place["height"] / 2, place["width"] / 4
+    touch(session, "touchStart", (x - far, y))
+    touch(session, "touchStart", (x - far, y), (x + far, y))
+    for k in range(1, 7):
+        angle, reach = math.radians(7 * k), far * (1 + k / 12)
+        ends = (reach * math.cos(angle), reach * math.sin(angle))
+        touch(session, "touchMove", (x - ends[0], y + ends[1]), (x + ends[0], y - ends[1]))
+    touch(session, "touchEnd")
+    pose = tab.evaluate("magiclens.pose()")
+    assert pose["angle"] == pytest.approx(42, abs=2)
+    assert pose["lift"] == pytest.approx(0.5 * 0.4 * 40, rel=0.1)
+
+
+def test_the_keyboard_alone_brings_the_lens_home_and_opens_everything(visit: Any) -> None:
+    tab = visit()
+    for _ in range(4):
+        tab.keyboard.press("Tab")
+        if tab.evaluate("document.activeElement.tagName") == "CANVAS":
+            break
+    assert tab.evaluate("getComputedStyle(document.activeElement).outlineStyle") == "solid"
+    tab.evaluate("magiclens.setPose({x: 7, y: -6, angle: -9, lift: 2})")
+    for keys in ("Shift+ArrowLeft", *["ArrowLeft"] * 2, "Shift+ArrowUp", "ArrowUp", "Shift+Q", *"qqq", *"--"):
+        tab.keyboard.press(keys)
+    assert tab.evaluate("magiclens.atHome()")
+    tab.keyboard.press("ArrowRight")
+    assert tab.evaluate("magiclens.pose().x") == 1
+    tab.keyboard.press("w")
+    assert tab.evaluate("magiclens.pose().eyeY") == 5
+    tab.keyboard.press("Enter")
+    assert tab.evaluate("magiclens.atHome()")
+    tab.keyboard.press("Shift+Tab")
+    tab.keyboard.press("ArrowRight")
+    assert tab.locator("#mlens-panel-solid").is_visible()
+    tab.keyboard.press("Tab")
+    before = canvas(tab)
+    tab.keyboard.press("ArrowLeft")
+    assert (canvas(tab) != before).any()
+
+
+def test_every_view_can_be_chosen(visit: Any) -> None:
+    tab = visit()
+    tab.get_by_role("radio", name="rotation 090").check(force=True)
+    assert tab.evaluate("[magiclens.view(), magiclens.pose().angle, magiclens.atHome()]") == [1, 90, True]
+    tab.evaluate("magiclens.setPose({angle: 3})")
+    assert not tab.evaluate("magiclens.atHome()")
+    tab.evaluate("magiclens.setPose({angle: 0})")
+    assert tab.evaluate("[magiclens.view(), magiclens.atHome()]") == [0, True]
+
+
+def test_lens_and_eye_glide_unless_motion_is_unwelcome(visit: Any) -> None:
+    for motion, arrives in (("reduce", True), ("no-preference", False)):
+        tab = visit(reduced_motion=motion)
+        arrived = tab.evaluate("document.querySelector('[data-part=home]').click(), magiclens.atHome()")
+        assert arrived == arrives
+        tab.wait_for_function("magiclens.atHome()")
+
+
+def canvas(tab: Page) -> FloatArray:
+    tab.evaluate("magiclens.settled()")
+    return np.asarray(Image.open(BytesIO(tab.locator("canvas").screenshot())).convert("RGB"))
+
+
+def test_the_solid_is_coloured_and_cut_open(visit: Any) -> None:
+    tab = visit()
+    tab.get_by_role("tab", name="The lens").click()
+    looks = [canvas(tab)]
+    for name in ("Slopes", "Steps"):
+        tab.get_by_role("radio", name=name).check(force=True)
+        looks.append(canvas(tab))
+    assert re.fullmatch(r"\d+\.\d\d mm", tab.locator('[data-part="most"]').inner_text())
+    for a, b in ((0, 1), (0, 2), (1, 2)):
+        assert (looks[a] != looks[b]).any(axis=-1).mean() > 0.02
+    tab.get_by_role("slider", name="Section", exact=True).fill("50")
+    cut, bare = canvas(tab), looks[0][10, 10]
+    red, _, blue = np.moveaxis(cut.astype(int), -1, 0)
+    assert (red > blue + 60).mean() > 0.02
+    assert (cut == bare).all(axis=-1).mean() > (looks[0] == bare).all(axis=-1).mean() + 0.02
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_nothing_stands_in_the_way_of_those_who_see_or_move_otherwise(visit: Any, scheme: str) -> None:
+    tab = visit(color_scheme=scheme)
+    tab.locator("summary").click()
+    for name in ("On the table", "The lens"):
+        tab.get_by_role("tab", name=name).click()
+        found = Axe().run(tab).response["violations"]
+        assert [rule["id"] for rule in found] == []
+
+
+def test_dark_rooms_have_a_dark_table(visit: Any) -> None:
+    bright, dark = (canvas(visit(color_scheme=scheme))[5, 5].mean() for scheme in ("light", "dark"))
+    assert bright > 150 > 100 > dark
+
+
+def test_frames_of_a_film_are_scrubbed_and_played(
+    visit: Any, folders: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("magiclens.viewer.facts.MOST_CHOICES", 0)
+    folders["film"] = tmp_path
+    (tmp_path / "view.html").write_text(page(folders["rotating"]), encoding="utf-8")
+    tab = visit("film")
+    tab.get_by_role("slider", name="Frame").fill("1")
+    assert tab.evaluate("magiclens.view()") == 1
+    tab.get_by_text("Frame 2 of 2").wait_for()
+    tab.get_by_role("button", name="Play").click()
+    tab.wait_for_function("magiclens.view() === 0")
+    tab.get_by_role("button", name="Stop").click()
+    now = tab.evaluate("magiclens.view()")
+    tab.wait_for_timeout(800)
+    assert tab.evaluate("magiclens.view()") == now
+
+
+def test_a_lost_picture_is_drawn_again(visit: Any) -> None:
+    tab = visit()
+    before = canvas(tab)
+    tab.evaluate(
+        """() => new Promise((done) => {
+            const canvas = document.querySelector("canvas");
+            const loser = canvas.getContext("webgl2").getExtension("WEBGL_lose_context");
+            canvas.addEventListener("webglcontextlost", () => setTimeout(() => loser.restoreContext(), 50));
+            canvas.addEventListener("webglcontextrestored", () => setTimeout(done, 1000));
+            loser.loseContext();
+        })"""
+    )
+    np.testing.assert_allclose(canvas(tab), before, atol=2)
+
+
+def test_without_webgl_there_is_a_plain_picture_and_a_reason(visit: Any) -> None:
+    tab = visit(script="HTMLCanvasElement.prototype.getContext = () => null")
+    tab.get_by_text("this browser offers no WebGL2").wait_for()
+    assert tab.locator(".mlens-plain img").is_visible()
+    assert tab.evaluate("document.querySelector('.mlens-plain img').naturalWidth") > 0
+    assert not tab.locator("canvas").is_visible()
