@@ -185,6 +185,64 @@ def test_schema_prints_a_draft_7_schema_with_plugins_options(mlens: Any) -> None
     assert schema["definitions"]["matcher-toy"]["properties"]["step"]["default"] == "0.5mm"
 
 
+def test_json_of_a_run_is_its_manifest_and_nothing_else(mlens: Any, write_spec: SpecWriter, tmp_path: Path) -> None:
+    result = mlens("run", write_spec(), "--out", tmp_path / "out", "--json")
+    manifest = json.loads((tmp_path / "out" / "manifest.json").read_text())
+    assert json.loads(result.stdout) == {"folder": str(tmp_path / "out"), **manifest}
+    assert result.stderr == ""
+
+
+def test_json_of_a_check_names_the_views(mlens: Any, write_spec: SpecWriter) -> None:
+    facts = json.loads(mlens("check", write_spec(), "--json").stdout)
+    assert facts["scenario"] == "rotating"
+    assert facts["views"] == ["rotation-000", "rotation-090"]
+
+
+def test_json_of_a_plan_is_the_resolved_spec(mlens: Any, write_spec: SpecWriter) -> None:
+    facts = json.loads(mlens("plan", write_spec(), "--json", "--set", "lens.facets=3").stdout)
+    assert facts["lens"]["facets"] == 3
+    assert facts["pipeline"]["matcher"] == {"type": "toy", "sweeps": 5, "window": "10%", "step": "0.5mm"}
+
+
+def test_json_of_plugins_names_contributions_and_failures(mlens: Any, registry: Registry) -> None:
+    registry.register(plugin_of(3), Plugin("odd", "odd-package", "0.3"))
+    facts = json.loads(mlens("plugins", "--json").stdout)
+    toy = next(one for one in facts["contributions"] if (one["kind"], one["name"]) == ("matcher", "toy"))
+    assert toy["plugins"] == [{"name": "toys", "package": "magiclens-toys", "version": "1.2"}]
+    assert toy["options"] == ["sweeps", "window", "step"]
+    assert facts["failures"][0]["plugin"]["package"] == "odd-package"
+
+
+@pytest.mark.parametrize("command", ["run", "check", "plan"])
+def test_wrong_input_prints_no_json(command: str, mlens: Any, write_spec: SpecWriter) -> None:
+    result = mlens(command, write_spec(("facets: 4", "facets: 0")), "--json")
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert "lens.facets" in result.stderr
+
+
+def test_a_quiet_check_says_nothing(mlens: Any, write_spec: SpecWriter) -> None:
+    result = mlens("check", write_spec(), "--quiet")
+    assert (result.exit_code, result.output) == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [
+        ("mlens sw", {"sweep"}),
+        ("mlens new multi", {"multi-pair", "multi-view"}),
+        ("mlens sweep a.yaml --executor s", {"serial"}),
+        ("mlens run --qu", {"--quiet"}),
+    ],
+)
+def test_shells_can_complete_what_is_typed(typed: str, offered: set[str]) -> None:
+    count = str(len(typed.split()) - 1)
+    setting = {"_MLENS_COMPLETE": "complete_bash", "COMP_WORDS": typed, "COMP_CWORD": count}
+    code = "from magiclens.cli import app; app(prog_name='mlens')"
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, env={**os.environ, **setting}, capture_output=True, text=True, timeout=60)
+    assert set(done.stdout.split()) == offered
+
+
 def test_the_version_is_the_packages() -> None:
     import magiclens
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import subprocess
@@ -24,7 +25,7 @@ from magiclens.milling.job import job
 from magiclens.milling.machining import faults, find_programs, read_program, simulate
 from magiclens.milling.rml import Rml, parse_rml
 from magiclens.plan import load_plan
-from magiclens.run import Run, run_spec
+from magiclens.running import Run, run_spec
 from milled import BALL, FLAT, POINTED, V, cutter, milled, waves
 from toys import TOYS, SpecWriter, registry_of
 
@@ -303,6 +304,9 @@ def test_a_run_folders_programs_are_run_and_their_lens_is_looked_through(run: Ru
     designed, cut, polished = (float(n) for n in numbers["single"].split())
     assert designed == pytest.approx(run.manifest["views"][0]["psnr_db"], abs=0.5)
     assert designed > polished > cut
+    facts = json.loads(CliRunner().invoke(app, ["machined", str(run.folder), "--json"]).stdout)
+    assert facts["psnr_db"]["single"]["polished"] == pytest.approx(polished, abs=0.01)
+    assert facts["gouge_um"] < 1
     pictures = {name: read_image(run.folder / "machined" / f"{name}.png") for name in ("single", "single-polished")}
     assert {picture.shape for picture in pictures.values()} == {(512, 512, 1)}
     assert np.abs(pictures["single"] - pictures["single-polished"]).mean() > 0.01

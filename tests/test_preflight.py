@@ -28,7 +28,7 @@ from magiclens.preflight.inspect import Preflight, inspect
 from magiclens.preflight.page import INK, lens_map, table, write_preflight
 from magiclens.preflight.sight import facets_of, look, slopes_deg
 from magiclens.profiles.machines import machines
-from magiclens.run import Run, run_spec
+from magiclens.running import Run, run_spec
 
 SPEC = """\
 name: small
@@ -374,6 +374,8 @@ def test_the_command_ends_with_0_or_1_and_keeps_the_manifest_true(folder: Path) 
     assert listed["preflight.html"] == hashlib.sha256(page.read_bytes()).hexdigest()
     again, before = CliRunner().invoke(app, ["preflight", str(folder)]), page.read_bytes()
     assert (again.stdout, page.read_bytes()) == (done.stdout, before)
+    facts = CliRunner().invoke(app, ["preflight", str(folder), "--json"])
+    assert json.loads(facts.stdout) == json.loads((folder / "preflight.json").read_text())
     rewrite(folder, triangles(folder)[1:])
     assert CliRunner().invoke(app, ["preflight", str(folder)]).exit_code == 1
 

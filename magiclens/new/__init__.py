@@ -1,0 +1,1 @@
+"""Specs for people who have pictures and want a lens: ``mlens new``."""

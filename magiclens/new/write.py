@@ -1,0 +1,141 @@
+"""Writes a commented spec for a scenario and a user's pictures."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import tempfile
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from magiclens.errors import InputError
+from magiclens.images import read_image
+from magiclens.new.judge import judge
+from magiclens.new.layouts import LAYOUTS, Order
+from magiclens.spec.suggest import unknown
+
+WIDTH = 110
+"""Letters in a line of comment."""
+
+
+def new_spec(
+    scenario: str,
+    pictures: Sequence[Path],
+    out: Path,
+    source: Path | None = None,
+    questions: Sequence[str] = (),
+    force: bool = False,
+) -> str:
+    """Write a spec for these pictures to the file ``out``, and return its text; it passes ``mlens check``.
+
+    source: what shall lie below the lens, instead of discs. Raises InputError naming what cannot be: the scenario, the
+    number of pictures, a picture that cannot be read or shows nothing, a file that is there already.
+    """
+    if scenario not in LAYOUTS:
+        raise InputError(unknown("scenario", scenario, LAYOUTS), "SCENARIO")
+    _refuse_number(scenario, len(pictures), source is not None, len(questions))
+    _refuse_place(out, force)
+    files = _Files(out.parent)
+    if source:
+        read_image(source)
+    judged = tuple((files.path(path), judge(path)) for path in pictures)
+    order = Order(judged, files.path(source) if source else None, tuple(questions))
+    text = _text(scenario, order, [path.name for path in pictures], out.name)
+    _write(out, text)
+    return text
+
+
+@dataclass(frozen=True)
+class _Files:
+    """Paths as a spec in ``folder`` writes them."""
+
+    folder: Path
+
+    def path(self, file: Path) -> str:
+        """Relative to the spec, in quotes where YAML wants them."""
+        try:
+            found = Path(os.path.relpath(file.absolute(), self.folder.absolute())).as_posix()
+        except ValueError:  # on another drive
+            found = file.absolute().as_posix()
+        return found if re.fullmatch(r"[A-Za-z_.][\w./-]*", found, re.ASCII) else json.dumps(found, ensure_ascii=False)
+
+
+def _refuse_number(scenario: str, pictures: int, source: bool, questions: int) -> None:
+    layout = LAYOUTS[scenario]
+    if not layout.least <= pictures <= layout.most:
+        many = f"{layout.least} to {layout.most} pictures" if layout.most > 1 else "one picture"
+        raise InputError(f"{scenario} takes {many}, got {pictures}", "PICTURES")
+    if source and not layout.source:
+        raise InputError(f"{scenario} makes its sources itself; leave this out", "--source")
+    if questions and not layout.questions:
+        raise InputError(f"{scenario} asks nothing; choose question-answer, or leave this out", "--question")
+    if questions and questions != pictures:
+        raise InputError(f"{questions} questions for {pictures} pictures; write one for each", "--question")
+
+
+def _refuse_place(out: Path, force: bool) -> None:
+    if out.is_dir() or not out.parent.is_dir():
+        raise InputError(f"'{out}' cannot be a file: name a spec file (.yaml) in a folder that is there", "--out")
+    if out.exists() and not force:
+        raise InputError(f"'{out}' is there already; choose another, or --force", "--out")
+
+
+def _text(scenario: str, order: Order, names: Sequence[str], out: str) -> str:
+    """The whole spec."""
+    layout = LAYOUTS[scenario]
+    below, lens, pipeline = layout.scenario(order), layout.lens(order), layout.pipeline(order)
+    return "\n".join(
+        [
+            *_comment(f"{layout.title}, made by 'mlens new {scenario}' from {', '.join(names)}.", ""),
+            f"#   mlens check {out}    is it right?",
+            f"#   mlens run {out}      design the lens; look at report.html in its run folder",
+            "seed: 0                                   # another seed, another lens of about the same quality",
+            "",
+            "scenario:",
+            f"  type: {scenario}",
+            *_indented(below),
+            "",
+            "lens:",
+            *_indented(lens),
+            "",
+            "viewer: {distance: 400mm}                 # from the lens to the eye, straight above its centre",
+            "",
+            "pipeline:",
+            *_indented(pipeline),
+            "",
+        ]
+    )
+
+
+def _indented(lines: Sequence[str]) -> list[str]:
+    """Lines of a mapping; those that start with ``#`` are comments and are wrapped."""
+    out = []
+    for line in lines:
+        text = line.lstrip()
+        space = " " * (2 + len(line) - len(text))
+        out += _comment(text.removeprefix("# "), space) if text.startswith("# ") else [f"{space}{text}"]
+    return out
+
+
+def _comment(text: str, space: str) -> list[str]:
+    plain = "".join(letter if letter.isprintable() else " " for letter in text)
+    return textwrap.wrap(plain, WIDTH, initial_indent=f"{space}# ", subsequent_indent=f"{space}# ")
+
+
+def _write(out: Path, text: str) -> None:
+    """Put the spec in its place once it has passed the check."""
+    from magiclens.plan import load_plan
+
+    handle, name = tempfile.mkstemp(prefix=f".{out.stem}-", suffix=".yaml", dir=out.parent)
+    trial = Path(name)
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+        load_plan(trial)
+        trial.chmod(0o644)
+        os.replace(trial, out)
+    finally:
+        trial.unlink(missing_ok=True)

@@ -1,0 +1,119 @@
+"""The doctor: what it looks for, what it says of what is missing, and when it gives up."""
+
+from __future__ import annotations
+
+import json
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from typer.testing import CliRunner
+
+from magiclens import doctor
+from magiclens.cli import app
+from magiclens.doctor import Finding, as_text, examine, unfit
+from magiclens.registry import Plugin, Registry
+
+
+@pytest.fixture(autouse=True)
+def no_llvm(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Trying an LLVM takes seconds."""
+    monkeypatch.setattr("magiclens.rendering.mitsuba.working_llvm", lambda: None)
+
+
+@pytest.fixture
+def found(registry: Registry) -> dict[str, Finding]:
+    return {finding.name: finding for finding in examine(registry)}
+
+
+def test_everything_that_is_needed_is_here(found: dict[str, Finding]) -> None:
+    assert not unfit(found.values())
+    assert found["numpy"] == Finding("numpy", "ok", version("numpy"), True)
+    assert found["font"].status == found["FFmpeg (av)"].status == "ok"
+    assert {"python", "magiclens", "plugins", "numba cache", "PrusaSlicer", "Chromium"} <= set(found)
+
+
+def test_every_requirement_is_looked_for_and_no_extra(found: dict[str, Finding]) -> None:
+    assert {"numba", "mitsuba", "pymeshlab", "ruamel.yaml", "scikit-image"} <= set(found)
+    assert "pytest" not in found
+
+
+def test_what_is_missing_says_what_for_and_how_to_get_it(found: dict[str, Finding]) -> None:
+    llvm = found["LLVM for Mitsuba"]
+    assert (llvm.status, llvm.needed) == ("missing", False)
+    assert "apt install libllvm19" in as_text([llvm]).splitlines()[1]
+
+
+def test_what_is_well_takes_one_line() -> None:
+    assert as_text([Finding("numpy", "ok", "2.0", True, "unused")]).splitlines() == ["ok       numpy            2.0"]
+
+
+def test_a_program_is_found_on_the_path(
+    registry: Registry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program = tmp_path / "admesh"
+    program.write_text("#!/bin/sh\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    programs = {finding.name: finding for finding in examine(registry)}
+    assert (programs["admesh"].status, programs["admesh"].found) == ("ok", str(program))
+    assert programs["PrusaSlicer"].status == "missing"
+    assert not unfit(programs.values())
+
+
+def test_a_package_that_is_missing_makes_it_unfit(registry: Registry, monkeypatch: pytest.MonkeyPatch) -> None:
+    def known(name: str) -> str:
+        if name == "trimesh":
+            raise PackageNotFoundError
+        return version(name)
+
+    monkeypatch.setattr(doctor, "version", known)
+    findings = examine(registry)
+    assert unfit(findings)
+    assert "pip install trimesh" in as_text(findings)
+
+
+def test_a_broken_library_makes_it_unfit(registry: Registry, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object) -> None:
+        raise OSError("libfreetype is gone")
+
+    monkeypatch.setattr("magiclens.images.text.text", broken)
+    findings = examine(registry)
+    assert unfit(findings)
+    assert "OSError: libfreetype is gone" in as_text(findings)
+
+
+def test_a_broken_plugin_is_named_and_is_no_reason_to_give_up(registry: Registry) -> None:
+    registry.register(SimpleNamespace(mlens_stages=3), Plugin("odd", "odd-package", "0.3"))
+    registry._fail(Plugin("odd", "odd-package", "0.3"), "it is odd")
+    findings = {finding.name: finding for finding in examine(registry)}
+    assert findings["plugins"].status == "broken"
+    assert "odd-package 0.3" in findings["plugins"].found
+    assert not unfit(findings.values())
+
+
+def test_a_cache_that_cannot_be_written_is_told(
+    registry: Registry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file" / "cache"))
+    cache = next(finding for finding in examine(registry) if finding.name == "numba cache")
+    assert cache.status == "broken"
+    assert "NUMBA_CACHE_DIR" in cache.help
+
+
+def test_the_command_prints_a_table_or_json(registry: Registry, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Registry, "load", lambda: registry)
+    plain = CliRunner().invoke(app, ["doctor"])
+    assert plain.exit_code == 0
+    assert "numpy" in plain.stdout
+    facts = json.loads(CliRunner().invoke(app, ["doctor", "--json"]).stdout)
+    assert facts["status"] == "ok"
+    assert {"name", "status", "found", "needed", "help"} == set(facts["findings"][0])
+
+
+def test_the_command_ends_with_1_when_something_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    missing = Finding("numpy", "missing", "", True, "pip install numpy")
+    monkeypatch.setattr(doctor, "examine", lambda: [missing])
+    assert CliRunner().invoke(app, ["doctor"]).exit_code == 1

@@ -1,0 +1,148 @@
+"""What programs and notebooks use: ``magiclens.run``, arrays as attributes, the contact sheet in a notebook."""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import nbformat
+import numpy as np
+import pytest
+from nbclient import NotebookClient
+from PIL import Image
+from ruamel.yaml import YAML
+
+import magiclens
+from magiclens import InputError, Run
+from magiclens.registry import Registry
+from toys import SPEC, SpecWriter, no_timings
+
+NOTEBOOK = Path(__file__).parent.parent / "docs" / "notebooks" / "first-lens.ipynb"
+
+
+@pytest.fixture(autouse=True)
+def toys(
+    registry: Registry, toy_geometry: None, without_report: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Lenses take no time, and start in a folder of their own."""
+    monkeypatch.setattr(Registry, "load", lambda: registry)
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture
+def spec() -> dict[str, Any]:
+    """The toy spec as a dict."""
+    data: dict[str, Any] = YAML(typ="safe").load(SPEC)
+    return data
+
+
+@pytest.fixture
+def lens(spec: dict[str, Any], tmp_path: Path) -> Run:
+    return magiclens.run(spec, tmp_path / "lens")
+
+
+@pytest.mark.parametrize("first", ["", "import magiclens.running; ", "from magiclens.cli import run as _; "])
+def test_run_is_a_function_whatever_was_imported_before(first: str) -> None:
+    code = f"{first}import magiclens; print(callable(magiclens.run), magiclens.run.__name__)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    assert done.stdout.split() == ["True", "run"]
+
+
+def test_a_file_a_dict_and_a_spec_give_the_same_lens(
+    write_spec: SpecWriter, spec: dict[str, Any], tmp_path: Path
+) -> None:
+    path = write_spec(("scenario:", "name: lens\nscenario:"))
+    named = {**spec, "name": "lens"}
+    loaded = magiclens.load_spec(path)
+    runs = [magiclens.run(one, tmp_path / str(k)) for k, one in enumerate((path, str(path), named, loaded))]
+    manifests = [no_timings(run.manifest) for run in runs]
+    assert all(manifest == manifests[0] for manifest in manifests)
+
+
+def test_the_run_folder_is_named_after_the_spec(spec: dict[str, Any], tmp_path: Path) -> None:
+    assert magiclens.run({**spec, "name": "mine"}).folder == Path("out/mine")
+    assert (tmp_path / "out" / "mine" / "manifest.json").exists()
+
+
+def test_overrides_lie_over_a_dict_and_leave_it_alone(spec: dict[str, Any], tmp_path: Path) -> None:
+    run = magiclens.run(spec, tmp_path / "out", ["lens.facets=3"])
+    assert run.manifest["scene"]["facets"] == 3
+    assert spec["lens"]["facets"] == 4
+
+
+def test_tuples_and_paths_can_stand_in_a_dict(spec: dict[str, Any], grey_png: Path, tmp_path: Path) -> None:
+    scenario = {**spec["scenario"], "targets": ({"image": grey_png}, {"art": "bat"})}
+    run = magiclens.run({**spec, "scenario": scenario}, tmp_path / "out")
+    assert (run.folder / "inputs" / "grey.png").is_file()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"lens": {"facest": 3}}, "spec: lens.facest: unknown key; did you mean 'facets'?"),
+        ({"seed": -1}, "spec: seed: must be at least 0, got -1"),
+        ({"scenario": None}, "spec: scenario: expected a mapping such as {type: name}, got nothing"),
+    ],
+)
+def test_mistakes_in_a_dict_are_named(spec: dict[str, Any], change: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        magiclens.run({**spec, **change})
+    assert str(caught.value).startswith(message)
+
+
+def test_pictures_and_heights_are_arrays(lens: Run) -> None:
+    assert lens.sources["source"].shape == (300, 300, 1)
+    assert set(lens.targets) == {"rotation-000", "rotation-090"}
+    assert lens.renders["tracer"]["rotation-090"].shape == (32, 32, 1)
+    assert lens.heights.shape == (4, 4, 3, 3)
+    assert not lens.heights.flags.writeable
+    assert lens.scores["rotation-000"] == {
+        key: lens.manifest["views"][0][key] for key in ("psnr_db", "ssim")
+    }
+
+
+def test_a_notebook_shows_the_contact_sheet(lens: Run) -> None:
+    html = lens._repr_html_()
+    found = re.search(r'src="data:image/png;base64,([^"]+)"', html)
+    assert found
+    with Image.open(io.BytesIO(base64.b64decode(found[1]))) as picture:
+        assert picture.width <= 960
+        assert np.asarray(picture.convert("L")).std() > 20
+    assert re.search(r'alt="[^"]{10,}"', html)
+    assert not re.search(r'(src|href)="(?!data:)', html)
+
+
+def test_names_are_escaped_in_a_notebook(lens: Run) -> None:
+    from dataclasses import replace
+
+    named = replace(lens, data=replace(lens.data, manifest={**lens.manifest, "name": '<b onload="x">'}))
+    assert "<b" not in named._repr_html_()
+    assert "&lt;b onload=&quot;x&quot;&gt;" in named._repr_html_()
+
+
+def test_what_a_run_is_called_fits_on_a_line(lens: Run, tmp_path: Path) -> None:
+    assert repr(lens) == f"Run({str(tmp_path / 'lens')!r}: rotating, rotation-000, rotation-090)"
+
+
+def test_the_notebook_in_the_docs_has_run() -> None:
+    cells = [cell for cell in nbformat.read(NOTEBOOK, 4).cells if cell.cell_type == "code"]
+    assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1))
+    assert all(cell.outputs for cell in cells)
+    assert "base64" in cells[0].outputs[0].data["text/html"]
+
+
+def test_the_notebook_in_the_docs_runs(tmp_path: Path) -> None:
+    notebook = nbformat.read(NOTEBOOK, 4)
+    size = '"facets": 20, "microfacets": 12'
+    assert size in notebook.cells[1].source
+    notebook.cells[1].source = notebook.cells[1].source.replace(size, '"facets": 12, "microfacets": 4')
+    done = NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    outputs = [output for cell in done.cells if cell.cell_type == "code" for output in cell.outputs]
+    assert not [output for output in outputs if output.output_type == "error"]
+    assert sum("image/png" in output.get("data", {}) for output in outputs) == 2
+    assert (tmp_path / "out" / "notebook" / "lens.stl").is_file()
