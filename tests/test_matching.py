@@ -19,12 +19,13 @@ from magiclens.matching import raster as rasters
 from magiclens.matching.channels import stack_channels
 from magiclens.matching.driver import Pool, search_all
 from magiclens.matching.exhaustive import Exhaustive
+from magiclens.matching.multi_view import MultiView
 from magiclens.matching.polish import blur_levels
 from magiclens.matching.predict import predict
 from magiclens.meshing.solid import solid_from_heights
 from magiclens.optics.refraction import facet_normal
 from magiclens.rendering.tracer import Tracer
-from magiclens.stages import silent
+from magiclens.stages import Matcher, silent
 from magiclens.traced import facet_errors
 from scenes import (
     ABOVE,
@@ -319,6 +320,23 @@ def test_errors_are_judged_by_the_staircase_that_flat_microfacets_show(gap: floa
         errors = ((shows - tiles) ** 2).reshape(3, 16, 3, 16).mean(axis=(1, 3))
         m2, r2 = (6 / 0.13) ** 2, (chosen.offsets_mm**2).sum(axis=-1) / 0.13**2
         np.testing.assert_allclose(chosen.errors, errors + 1 / (m2 - r2) - 1 / m2, rtol=2e-3, atol=1e-5)
+
+
+@pytest.mark.parametrize("matcher", [Exhaustive, MultiView])
+def test_a_patch_that_reaches_beyond_the_source_is_judged_as_partly_dark(matcher: type[Matcher]) -> None:
+    """On a white sheet as large as the lens, errors are what large flat micro-facets show of the dark around it."""
+    lens = small_lens(3, 3.0, source=9.0, microfacets=2)
+    white = np.ones((180, 180))
+    scene = Scene(lens, (grey_view(white, np.ones((48, 48))),))
+    found = matcher.model_validate({"window": "4mm", "acceptance": 1.0}).match(scene, np.random.default_rng(0))
+    reach = np.abs(lens.facet_centres_mm()[:, :, None] + found.offsets_mm).max(axis=-1)
+    spread = np.abs(found.maps[..., [0, 2]]).max(axis=-1) * lens.pitch_mm / 4 + lens.pitch_mm / 4
+    inside = np.isfinite(found.errors) & (reach + spread < 4.4)
+    beyond = np.isfinite(found.errors) & (reach + lens.pitch_mm / 4 > 4.7)
+    assert inside.any()
+    assert beyond.any()
+    assert found.errors[inside].max() < 0.01
+    assert found.errors[beyond].min() > 0.01
 
 
 # candidates

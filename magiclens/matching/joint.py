@@ -286,8 +286,10 @@ def judge(
                         a, b = a - 0.5 * pitch, b - 0.5 * pitch
                         x = s[LANDING] + m[0] * a + m[1] * b + s[FLAT] * du + s[FLAT + 1] * dw
                         y = s[LANDING + 1] + m[2] * a + m[3] * b + s[FLAT + 2] * du + s[FLAT + 3] * dw
-                        x = min(max(x * per_mm + half, 0.0), last_x)
-                        y = min(max(y * per_mm + half, 0.0), last_x)
+                        x, y = x * per_mm + half, y * per_mm + half
+                        if abs(x - half) > half + 0.5 or abs(y - half) > half + 0.5:
+                            continue  # beside the source it is dark
+                        x, y = min(max(x, 0.0), last_x), min(max(y, 0.0), last_x)
                         ix, iy = int(x), int(y)
                         fx, fy = np.float32(x - ix), np.float32(y - iy)
                         for c in range(channels):

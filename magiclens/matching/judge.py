@@ -46,6 +46,8 @@ def judge(tiles, source, per_mm, centres, pitch, microfacets, spread, window, st
                     a, b = a - 0.5 * pitch, b - 0.5 * pitch
                     x = (x0 + m[0] * a + m[1] * b + du) * per_mm + 0.5 * width - 0.5
                     y = (y0 + m[1] * a + m[2] * b + dv) * per_mm + 0.5 * height - 0.5
+                    if not (-0.5 <= x <= width - 0.5 and -0.5 <= y <= height - 0.5):
+                        continue  # beside the source it is dark
                     x, y = min(max(x, 0.0), width - 1.001), min(max(y, 0.0), height - 1.001)
                     ix, iy = int(x), int(y)
                     fx, fy = np.float32(x - ix), np.float32(y - iy)

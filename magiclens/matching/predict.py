@@ -86,6 +86,8 @@ def _predict(source, per_mm, landings, maps, places, inward, size, resolution, s
                     continue
                 sx = (at[0] + m[0, 0] * u + m[0, 1] * v) * per_mm + columns / 2 - 0.5
                 sy = (at[1] + m[1, 0] * u + m[1, 1] * v) * per_mm + rows / 2 - 0.5
+                if not (-0.5 <= sx <= columns - 0.5 and -0.5 <= sy <= rows - 0.5):
+                    continue  # beside the source it is dark
                 sx, sy = min(max(sx, 0.0), columns - 1.001), min(max(sy, 0.0), rows - 1.001)
                 ix, iy = int(sx), int(sy)
                 fx, fy = sx - ix, sy - iy
