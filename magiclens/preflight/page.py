@@ -11,7 +11,7 @@ import numpy as np
 from magiclens.artifacts import FloatArray
 from magiclens.preflight.finding import Finding
 from magiclens.preflight.inspect import Preflight
-from magiclens.report.page import embedded
+from magiclens.report.page import embedded, look
 from magiclens.report.scales import Pixels
 
 SIDE = 640
@@ -103,6 +103,7 @@ def _page(found: Preflight, as_made: dict[str, str]) -> str:
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     picture = lens_map(found)
     return environment.from_string(source).render(
+        look=look(),
         found=found,
         verdict=VERDICTS[found.status],
         map=None if picture is None else embedded(picture),

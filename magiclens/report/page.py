@@ -7,12 +7,16 @@ import io
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from magiclens.report.data import RunData
 from magiclens.report.figure import Figure
 from magiclens.report.photographs import Photograph
 from magiclens.report.scales import Pixels
 from magiclens.report.tables import file_rows, headlines, lens_rows, metric_rows, option_rows, score_rows
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
 
 
 def page(data: RunData, folder: Path, figures: Sequence[Figure], seen: Mapping[str, Sequence[Photograph]]) -> str:
@@ -24,6 +28,7 @@ def page(data: RunData, folder: Path, figures: Sequence[Figure], seen: Mapping[s
     facts = data.manifest
     environment.filters["embedded"] = embedded
     return environment.from_string(source).render(
+        look=look(),
         facts=facts,
         lens=data.scene.lens,
         views=len(data.scene.views),
@@ -36,6 +41,13 @@ def page(data: RunData, folder: Path, figures: Sequence[Figure], seen: Mapping[s
         stages=[(stage, option_rows(stage["options"])) for stage in facts["stages"]],
         files=file_rows(folder),
     )
+
+
+def look() -> Markup:
+    """The style sheet of what all pages have in common."""
+    from markupsafe import Markup
+
+    return Markup((files("magiclens.report") / "templates" / "look.css").read_text(encoding="utf-8"))
 
 
 def embedded(picture: Pixels) -> str:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from magiclens.report.annealed import before_after
 from magiclens.report.contact import contact_sheet
 from magiclens.report.data import RunData
 from magiclens.report.differences import error_map
+from magiclens.report.figure import Figure
 from magiclens.report.overlap import overlap_map
 from magiclens.report.page import page
 from magiclens.report.photographs import photographs
@@ -16,6 +18,9 @@ from magiclens.report.sheet import sheet
 from magiclens.report.surface import height_map, step_map
 from magiclens.report.warp import warp_map
 from magiclens.report.zone import zone_figures
+
+if TYPE_CHECKING:
+    from PIL.PngImagePlugin import PngInfo
 
 
 def write_report(data: RunData, folder: Path) -> None:
@@ -34,5 +39,16 @@ def write_report(data: RunData, folder: Path) -> None:
     ]
     (folder / "figures").mkdir(exist_ok=True)
     for figure in figures:
-        sheet(figure.rows).save(folder / "figures" / f"{figure.name}.png", "PNG", compress_level=4)
+        path = folder / "figures" / f"{figure.name}.png"
+        sheet(figure.rows).save(path, "PNG", compress_level=4, pnginfo=_words(figure))
     (folder / "report.html").write_text(page(data, folder, figures, seen), encoding="utf-8")
+
+
+def _words(figure: Figure) -> PngInfo:
+    """Title and caption, which the picture's file keeps."""
+    from PIL.PngImagePlugin import PngInfo
+
+    words = PngInfo()
+    words.add_itxt("Title", figure.title)
+    words.add_itxt("Description", figure.caption)
+    return words

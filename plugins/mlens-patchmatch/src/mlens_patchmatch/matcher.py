@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field, model_validator
 
-from magiclens import Candidates, Exhaustive, LengthOrPercent, Matcher, Progress, Scene, polished, relative, silent
+from magiclens import Candidates, Exhaustive, LengthOrPercent, Matcher, Progress, Scene, relative, silent
 
 
 class PatchMatch(Matcher):
@@ -36,6 +36,7 @@ class PatchMatch(Matcher):
 
     def match(self, scene: Scene, rng: np.random.Generator, progress: Progress = silent) -> Candidates:
         """Search and polish. Raises InputError when some facet reaches no patch, or views do not share an eye."""
+        from magiclens import polished
         from mlens_patchmatch.search import search
 
         exact = Exhaustive(window=self.window, candidates=self.candidates, acceptance=self.acceptance)

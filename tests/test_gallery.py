@@ -1,0 +1,490 @@
+"""The gallery: what is built, what is built again, and how its pages do in a real browser."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Callable, Iterator
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from PIL import Image
+from playwright.sync_api import Browser, Page
+from typer.testing import CliRunner
+
+from browsers import chromium, listen, served
+from magiclens.cli import app
+from magiclens.errors import InputError
+from magiclens.gallery.listed import load_gallery
+from magiclens.profiles.machines import machines
+from magiclens.registry import ART, SCENARIO, STAGE, Plugin, Registry
+from magiclens.stages import KINDS
+from toys import SPEC, ToyMatcher, plugin_of
+
+ROOT = Path(__file__).parent.parent
+PAPER = {"1", "4", "7", "9", "10", "11", "12", "14", "15", "16"}
+"""Figures that show what a lens does."""
+PAGE_BYTES, INDEX_BYTES = 3_000_000, 1_000_000
+LIST = """\
+title: Toys & lenses
+lead: One <b>lead</b>.
+hero: first
+entries:
+  - name: first
+    spec: toy.yaml
+    label: Figure <1>
+    title: A <script>alert(1)</script> title
+    caption: Caption & more.
+    quick: [lens.facets=3]
+  - name: second
+    spec: toy.yaml
+    title: Another
+    caption: With another view on its card.
+    view: rotation-090
+docs:
+  - title: Start here
+    pages: [page.md]
+"""
+PAGE = """\
+# Read me
+
+Raw <em>HTML</em> is text. See [the other part](#part-two), [a file](toy.yaml), `code`.
+
+```yaml
+name: x   # <comment>
+```
+
+## Part two
+
+![Where the picture differs](run:first/figures/error.png "A caption")
+![A ray](drawing:refraction)
+"""
+SMALL = [
+    "lens={size: 24mm, facets: 6, microfacets: 6, thickness: 30mm}",
+    "scenario.targets=[{art: heart}, {art: star}]",
+    "scenario.angles=[0deg, 90deg]",
+    "pipeline.renderers=[{type: tracer, resolution: 96}]",
+]
+WORM = ["lens={size: 24mm, facets: 6, microfacets: 6, thickness: 30mm}", "pipeline.renderers=[{type: tracer}]"]
+Build = Callable[..., Any]
+
+
+@pytest.fixture
+def build(tmp_path: Path, registry: Registry, monkeypatch: pytest.MonkeyPatch, toy_geometry: None) -> Build:
+    """Builds the gallery of two toy lenses; ``made`` collects which were run."""
+    monkeypatch.setattr(Registry, "load", lambda: registry)
+    monkeypatch.setattr("magiclens.report.write.write_report", _report)
+    monkeypatch.setattr("magiclens.gallery.build.reference", lambda *_: [])
+    for name, text in (("gallery.yaml", LIST), ("toy.yaml", SPEC), ("page.md", PAGE)):
+        (tmp_path / name).write_text(text, encoding="utf-8")
+
+    def run(*options: str) -> Any:
+        words = ["gallery", str(tmp_path / "gallery.yaml"), "--out", str(tmp_path / "site"), "--executor", "serial"]
+        return CliRunner().invoke(app, [*words, *options])
+
+    return run
+
+
+def _report(data: Any, folder: Path) -> None:
+    """A report of one figure."""
+    (folder / "figures").mkdir()
+    Image.new("RGB", (40, 30)).save(folder / "figures" / "error.png")
+
+
+def test_a_gallery_has_a_page_for_every_lens_and_every_document(build: Build, tmp_path: Path) -> None:
+    result = build()
+    assert result.exit_code == 0, result.output
+    site = tmp_path / "site"
+    pages = {path.relative_to(site).as_posix() for path in site.rglob("*.html") if "runs" not in path.parts}
+    assert {"index.html", "lenses/first.html", "lenses/second.html", "docs/page.html", "docs/index.html"} <= pages
+    facts = json.loads((site / "gallery.json").read_text())
+    assert [lens["name"] for lens in facts["lenses"]] == ["first", "second"]
+
+
+def test_everything_that_users_wrote_is_escaped(build: Build, tmp_path: Path) -> None:
+    build()
+    for page in ("index.html", "lenses/first.html"):
+        text = (tmp_path / "site" / page).read_text()
+        assert "A &lt;script&gt;alert(1)&lt;/script&gt; title" in text
+        assert "<script>alert" not in text
+    assert "Raw &lt;em&gt;HTML&lt;/em&gt; is text" in (tmp_path / "site" / "docs" / "page.html").read_text()
+
+
+def test_pages_show_what_the_manifest_says(build: Build, tmp_path: Path) -> None:
+    build("--quick")
+    manifest = json.loads((tmp_path / "site" / "runs" / "first" / "manifest.json").read_text())
+    text = (tmp_path / "site" / "lenses" / "first.html").read_text()
+    assert manifest["scene"]["facets"] == 3
+    assert "3 x 3" in text
+    for view in manifest["views"]:
+        assert f"{view['psnr_db']:.1f} dB, SSIM {view['ssim']:.2f}" in text
+    assert "lens.facets" in text
+
+
+def test_the_card_shows_the_view_that_was_asked_for(build: Build, tmp_path: Path) -> None:
+    build()
+    card = (tmp_path / "site" / "index.html").read_text().split('class="card"')[2]
+    assert "tracer-rotation-090" in card
+
+
+def test_an_unknown_view_is_named(build: Build, tmp_path: Path) -> None:
+    _replace(tmp_path / "gallery.yaml", "rotation-090", "rotation-09")
+    result = build()
+    assert result.exit_code == 2
+    assert "second: unknown view 'rotation-09'; did you mean 'rotation-090'?" in result.stderr
+
+
+def test_what_is_up_to_date_is_not_made_again(build: Build, tmp_path: Path) -> None:
+    assert "2 lenses, 2 to make" in build().stderr
+    before = _bytes(tmp_path / "site")
+    assert "2 lenses, 0 to make" in build().stderr
+    assert _bytes(tmp_path / "site") == before
+
+
+def test_only_what_changed_is_made_again(build: Build, tmp_path: Path) -> None:
+    build()
+    _replace(tmp_path / "gallery.yaml", "[lens.facets=3]", "[lens.facets=5]")
+    assert "2 lenses, 1 to make" in build("--quick").stderr
+
+
+def test_an_interrupted_build_goes_on_where_it_was(
+    build: Build, tmp_path: Path, registry: Registry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Fails(ToyMatcher):
+        type = "fails"
+
+        def match(self, *_: Any) -> Any:
+            raise KeyboardInterrupt
+
+    registry.register(plugin_of(Fails), Plugin("fails", "fails", "1"))
+    (tmp_path / "bad.yaml").write_text(SPEC.replace("type: toy\n    sweeps: 5", "type: fails"), encoding="utf-8")
+    _replace(tmp_path / "gallery.yaml", "spec: toy.yaml\n    title: Another", "spec: bad.yaml\n    title: Another")
+    assert build().exit_code == 130
+    assert [path.name for path in (tmp_path / "site" / "runs").iterdir()] == ["first"]
+    assert not (tmp_path / "site" / "index.html").exists()
+    _replace(tmp_path / "gallery.yaml", "spec: bad.yaml", "spec: toy.yaml")
+    result = build()
+    assert result.exit_code == 0
+    assert "2 lenses, 1 to make" in result.stderr
+
+
+def test_a_lens_that_fails_stops_no_other(build: Build, tmp_path: Path, registry: Registry) -> None:
+    class Crash(ToyMatcher):
+        type = "crash"
+
+        def match(self, *_: Any) -> Any:
+            raise RuntimeError("boom")
+
+    registry.register(plugin_of(Crash), Plugin("crash", "crash", "1"))
+    (tmp_path / "bad.yaml").write_text(SPEC.replace("type: toy\n    sweeps: 5", "type: crash"), encoding="utf-8")
+    _replace(tmp_path / "gallery.yaml", "name: first\n    spec: toy.yaml", "name: first\n    spec: bad.yaml")
+    result = build()
+    assert result.exit_code == 1
+    assert "matcher crash" in result.stderr
+    assert [path.name for path in (tmp_path / "site" / "runs").iterdir()] == ["second"]
+
+
+def test_what_the_list_no_longer_has_is_removed(build: Build, tmp_path: Path) -> None:
+    build()
+    text = (tmp_path / "gallery.yaml").read_text()
+    (tmp_path / "gallery.yaml").write_text(re.sub(r"  - name: second.*?(?=docs:)", "", text, flags=re.DOTALL))
+    build()
+    assert not [path for path in (tmp_path / "site").rglob("*") if "second" in path.parts or path.stem == "second"]
+
+
+def test_a_folder_with_something_else_is_left_alone(build: Build, tmp_path: Path) -> None:
+    (tmp_path / "site").mkdir()
+    (tmp_path / "site" / "thesis.tex").touch()
+    result = build()
+    assert result.exit_code == 2
+    assert "is there already and is no gallery; choose another --out" in result.stderr
+    assert [path.name for path in (tmp_path / "site").iterdir()] == ["thesis.tex"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("spec: toy.yaml", "spec: toi.yaml", "gallery.yaml:6: entries.0.spec: there is no file"),
+        ("hero: first", "hero: frist", "gallery.yaml:3: hero: unknown entry 'frist'; did you mean 'first'?"),
+        ("name: second", "name: first", "gallery.yaml:4: entries: two entries are called 'first'"),
+        ("label:", "lable:", "gallery.yaml:7: entries.0.lable: unknown key; did you mean 'label'?"),
+        ("[lens.facets=3]", "[lens.facets=0]", "lens.facets: must be at least 1"),
+    ],
+)
+def test_mistakes_in_the_list_are_named(build: Build, tmp_path: Path, old: str, new: str, message: str) -> None:
+    _replace(tmp_path / "gallery.yaml", old, new)
+    result = build("--quick")
+    assert result.exit_code == 2
+    assert message in result.stderr
+    assert not (tmp_path / "site" / "runs").exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("(toy.yaml)", "(tou.yaml)", "page.md:3: broken link: there is no file"),
+        ("drawing:refraction", "drawing:refractoin", "unknown drawing 'refractoin'; did you mean 'refraction'?"),
+        ("run:first/", "run:frist/", "unknown lens 'frist'; did you mean 'first'?"),
+        ("figures/error.png", "figures/eror.png", "broken picture: there is no file"),
+    ],
+)
+def test_mistakes_in_documents_are_named(build: Build, tmp_path: Path, old: str, new: str, message: str) -> None:
+    _replace(tmp_path / "page.md", old, new)
+    result = build()
+    assert result.exit_code == 2
+    assert message in result.stderr
+
+
+def test_without_a_list_there_is_a_hint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = CliRunner().invoke(app, ["gallery"])
+    assert result.exit_code == 2
+    assert "there is no file 'gallery/gallery.yaml'" in result.stderr
+    assert "name the list of a gallery" in result.stderr
+
+
+def test_the_shipped_list_has_every_figure_of_the_paper_and_every_spec() -> None:
+    gallery = load_gallery(ROOT / "gallery" / "gallery.yaml")
+    labels = " ".join(entry.label for entry in gallery.entries)
+    assert set(re.findall(r"\d+", re.sub(r"Section \S+", "", labels))) >= PAPER
+    assert {entry.spec.name for entry in gallery.entries} == {path.name for path in (ROOT / "specs").glob("*.yaml")}
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A gallery of two real lenses, with the project's own documentation where it needs no other runs."""
+    folder = tmp_path_factory.mktemp("gallery")
+    shutil.copytree(ROOT / "specs", folder / "specs")
+    entries = [
+        {"name": "rotating", "spec": "specs/rotating.yaml", "title": "Two", "caption": "Two pictures.", "quick": SMALL},
+        {"name": "worm", "spec": "specs/universal-animation.yaml", "title": "Worm", "caption": "Film.", "quick": WORM},
+    ]
+    (folder / "page.md").write_text(PAGE.replace("run:first", "run:worm").replace("toy.yaml", "list.yaml"))
+    docs = [{"title": "Start here", "pages": ["page.md"]}]
+    whole = {"hero": "rotating", "lead": "Two lenses.", "entries": entries, "docs": docs}
+    (folder / "list.yaml").write_text(json.dumps(whole))
+    words = ["gallery", str(folder / "list.yaml"), "--quick", "--out", str(folder / "site"), "--executor", "serial"]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
+    return folder / "site"
+
+
+def test_every_link_and_picture_leads_somewhere(site: Path) -> None:
+    assert broken_links(site) == []
+
+
+def test_the_reference_has_everything_that_is_installed(site: Path) -> None:
+    def text(page: str) -> str:
+        return (site / "docs" / "reference" / f"{page}.html").read_text(encoding="utf-8")
+
+    registry = Registry.load()
+    for kind in KINDS:
+        for name, cls in registry.classes(STAGE, kind).items():
+            assert f">{kind}: {name}</h2>" in text("stages")
+            assert all(f"<code>{key}</code>" in text("stages") for key in cls.model_fields)
+    assert all(f">scenario: {name}</h2>" in text("spec") for name in registry.types(SCENARIO))
+    assert all(f"<code>{name}</code>" in text("art") for name in registry.types(ART))
+    assert all(f">{name}</h2>" in text("machines") for name in machines())
+    for command in ("run", "gallery", "preflight"):
+        assert f">mlens {command}</h2>" in text("commands")
+    assert "progress: Progress = silent" in re.sub("<[^>]*>", "", text("plugins"))
+    assert "object at 0x" not in text("plugins")
+
+
+def test_broken_links_are_found(tmp_path: Path) -> None:
+    (tmp_path / "a.html").write_text('<p id="x"><a href="b.html">1</a><a href="#y">2</a><img src="c.png">')
+    assert broken_links(tmp_path) == ["a.html: #y", "a.html: b.html", "a.html: c.png"]
+
+
+def test_pages_are_light(site: Path) -> None:
+    assert heavy_pages(site) == {}
+    assert page_bytes(site, "lenses/worm.html") > 100_000
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with chromium() as opened:
+        yield opened
+
+
+@pytest.mark.parametrize("scheme", ["file", "http"])
+def test_no_page_complains_or_asks_for_anything_elsewhere(site: Path, browser: Browser, scheme: str) -> None:
+    assert complaints(site, browser, scheme) == {}
+
+
+@pytest.mark.parametrize("colours", ["light", "dark"])
+def test_pages_are_accessible(site: Path, browser: Browser, colours: str) -> None:
+    assert findings(site, browser, colours) == {}
+
+
+def test_axe_finds_what_is_wrong(tmp_path: Path, browser: Browser) -> None:
+    (tmp_path / "a.html").write_text('<html lang="en"><title>a</title><main><h1>a</h1><img src="data:,"></main>')
+    assert [rule for rule, _ in findings(tmp_path, browser, "light")["a.html"]] == ["image-alt"]
+
+
+def test_nothing_is_wider_than_a_phone(site: Path, browser: Browser) -> None:
+    context = browser.new_context(viewport={"width": 375, "height": 740})
+    tab = context.new_page()
+    widths = {}
+    for page in pages_of(site):
+        tab.goto((site / page).as_uri())
+        widths[page] = tab.evaluate("document.documentElement.scrollWidth")
+    context.close()
+    assert {page: width for page, width in widths.items() if width > 375} == {}
+
+
+def test_the_keyboard_alone_lays_and_turns_the_lens_and_leads_to_its_page(site: Path, browser: Browser) -> None:
+    tab = browser.new_page(reduced_motion="reduce")
+    tab.goto((site / "index.html").as_uri())
+    said = [_pressed_until(tab, "[data-turn]", "Enter"), _pressed(tab, "Enter")]
+    assert said == ["lens at 0°.", "lens at 90°."]
+    shown = tab.locator("[data-slab] img:visible")
+    assert "rotation-090" in str(shown.get_attribute("alt"))
+    _pressed_until(tab, ".card", "Enter")
+    tab.wait_for_url("**/lenses/rotating.html")
+    tab.close()
+
+
+def test_the_lens_lays_itself_on_the_dots_once(site: Path, browser: Browser) -> None:
+    tab = browser.new_page()
+    tab.goto((site / "index.html").as_uri())
+    tab.wait_for_function("document.querySelector('[data-state]').textContent === 'lens at 0°.'", timeout=10_000)
+    tab.close()
+
+
+def _pressed_until(tab: Page, selector: str, key: str) -> str:
+    """Tab to the first match, then press a key there."""
+    for _ in range(40):
+        tab.keyboard.press("Tab")
+        if tab.evaluate("s => document.activeElement.matches(s)", selector):
+            return _pressed(tab, key)
+    raise AssertionError(f"the keyboard does not reach {selector}")
+
+
+def _pressed(tab: Page, key: str) -> str:
+    tab.keyboard.press(key)
+    state = tab.locator("[data-state]")
+    return str(state.text_content()) if state.count() else ""
+
+
+def complaints(site: Path, browser: Browser, scheme: str) -> dict[str, list[str]]:
+    """By page: errors in the console, and requests to elsewhere."""
+    if scheme == "file":
+        return _complaints(site, browser, site.as_uri())
+    with served(site) as home:
+        return _complaints(site, browser, home)
+
+
+def _complaints(site: Path, browser: Browser, home: str) -> dict[str, list[str]]:
+    found = {}
+    for page in pages_of(site):
+        tab = browser.new_page()
+        heard = listen(tab, home)
+        tab.goto(f"{home}/{page}", wait_until="load")
+        tab.wait_for_function("!window.magiclens || magiclens.ready.then(() => true)")
+        tab.evaluate("Promise.all([...document.images].map(i => (i.loading = 'eager', i.decode())))")
+        tab.close()
+        if heard:
+            found[page] = heard
+    return found
+
+
+def findings(site: Path, browser: Browser, colours: Any) -> dict[str, list[tuple[str, str]]]:
+    """By page: rules of axe-core with serious or critical findings, and where. Dark pages differ in colours only."""
+    options = {} if colours == "light" else {"runOnly": ["color-contrast"]}
+    found = {}
+    for page in pages_of(site):
+        tab = browser.new_page(color_scheme=colours, reduced_motion="reduce")
+        tab.goto((site / page).as_uri())
+        rules = Axe().run(tab, options=options).response["violations"]
+        tab.close()
+        bad = [(r["id"], r["nodes"][0]["html"][:200]) for r in rules if r["impact"] in ("serious", "critical")]
+        if bad:
+            found[page] = bad
+    return found
+
+
+def pages_of(site: Path) -> list[str]:
+    """Every page, run reports included."""
+    return sorted(path.relative_to(site).as_posix() for path in site.rglob("*.html") if ".cache" not in path.parts)
+
+
+class _References(HTMLParser):
+    """Collects what a page refers to, what it loads, and its anchors."""
+
+    def __init__(self, text: str):
+        super().__init__()
+        self.links: list[str] = []
+        self.loaded: list[str] = []
+        self.anchors: set[str] = set()
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+        found = {key: value or "" for key, value in attributes}
+        self.anchors |= {found["id"]} if "id" in found else set()
+        self.links += [found[key] for key in ("href", "src", "poster") if key in found]
+        loads = {"img": "src", "script": "src", "link": "href", "video": "poster"}
+        self.loaded += [found[key] for name, key in loads.items() if tag == name and key in found]
+
+
+def references(site: Path, page: str) -> _References:
+    return _References((site / page).read_text(encoding="utf-8"))
+
+
+def broken_links(site: Path) -> list[str]:
+    """``page: link`` of everything that leads nowhere; links to the outside are not followed."""
+    found = []
+    for page in pages_of(site):
+        for link in sorted(set(references(site, page).links)):
+            if re.match(r"(data|https?|mailto):", link):
+                continue
+            path, _, anchor = link.partition("#")
+            target = (site / page).parent / unquote(path) if path else site / page
+            there = target.is_file() and target.resolve().is_relative_to(site.resolve())
+            if not there or (anchor and anchor not in _References(target.read_text(encoding="utf-8")).anchors):
+                found.append(f"{page}: {link}")
+    return found
+
+
+def page_bytes(site: Path, page: str) -> int:
+    """A page with everything that it loads."""
+    loaded = {link for link in references(site, page).loaded if not link.startswith("data:")}
+    files = [site / page, *((site / page).parent / unquote(link) for link in loaded)]
+    return sum(path.stat().st_size for path in files)
+
+
+def heavy_pages(site: Path) -> dict[str, int]:
+    """Pages above their limit."""
+    sizes = {page: page_bytes(site, page) for page in pages_of(site)}
+    return {p: size for p, size in sizes.items() if size > (INDEX_BYTES if p == "index.html" else PAGE_BYTES)}
+
+
+def _bytes(site: Path) -> dict[str, bytes]:
+    return {path.as_posix(): path.read_bytes() for path in site.rglob("*") if path.is_file()}
+
+
+def _replace(path: Path, old: str, new: str) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+
+
+@pytest.mark.sweep
+def test_the_whole_gallery_is_quick_to_build_light_and_accessible(tmp_path: Path, browser: Browser) -> None:
+    site = tmp_path / "site"
+    done = CliRunner().invoke(app, ["gallery", str(ROOT / "gallery" / "gallery.yaml"), "--quick", "--out", str(site)])
+    assert done.exit_code == 0, done.output
+    assert (broken_links(site), heavy_pages(site)) == ([], {})
+    assert complaints(site, browser, "file") == {}
+    assert findings(site, browser, "dark") == {}
+
+
+def test_a_list_that_is_no_mapping_is_an_input_error(tmp_path: Path) -> None:
+    (tmp_path / "list.yaml").write_text("- a\n")
+    with pytest.raises(InputError, match="list instead of a mapping"):
+        load_gallery(tmp_path / "list.yaml")
