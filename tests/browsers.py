@@ -56,7 +56,7 @@ def served(folder: Path) -> Iterator[str]:
 def listen(tab: Page, home: str) -> list[str]:
     """What the page will complain about, and what it will ask for elsewhere than below ``home``."""
     complaints: list[str] = []
-    tab.on("console", lambda said: complaints.append(said.text) if said.type in ("error", "warning") else None)
+    tab.on("console", lambda said: complaints.append(said.text) if said.type == "error" else None)
     tab.on("pageerror", lambda error: complaints.append(str(error)))
     tab.on("request", lambda r: None if r.url.startswith((home, "data:", "blob:")) else complaints.append(r.url))
     return complaints

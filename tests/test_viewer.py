@@ -16,9 +16,10 @@ import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from PIL import Image
-from playwright.sync_api import Browser, CDPSession, Page, sync_playwright
+from playwright.sync_api import Browser, CDPSession, Page
 from typer.testing import CliRunner
 
+from browsers import chromium, listen
 from magiclens.artifacts import FloatArray, View
 from magiclens.cli import app
 from magiclens.images import read_image, to_display, to_linear
@@ -33,11 +34,6 @@ from magiclens.viewer.packing import pack, unpack
 from magiclens.viewer.page import _for_script
 from magiclens.viewer.pictures import fitting
 
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
-ARGUMENTS = [
-    "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-    "--disable-background-networking",
-]  # fmt: skip
 SPECS = Path(__file__).parent.parent / "specs"
 PIXELS, SAMPLES = 128, 2
 COMMON = ["pipeline.exporters=[]", f"pipeline.renderers=[{{type: tracer, resolution: {PIXELS}, samples: {SAMPLES}}}]"]
@@ -81,12 +77,8 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    program = next(filter(None, map(shutil.which, BROWSERS)), None)
-    assert program, f"install one of {', '.join(BROWSERS)}"
-    with sync_playwright() as playwright:
-        opened = playwright.chromium.launch(executable_path=program, args=ARGUMENTS)
+    with chromium() as opened:
         yield opened
-        opened.close()
 
 
 @pytest.fixture
@@ -99,9 +91,7 @@ def visit(browser: Browser, folders: dict[str, Path]) -> Iterator[Any]:
         contexts.append(browser.new_context(viewport={"width": width, "height": height}, **options))
         tab = contexts[-1].new_page()
         address = (folders[name] / "view.html").as_uri()
-        tab.on("console", lambda said: complaints.append(said.text) if said.type == "error" else None)
-        tab.on("pageerror", lambda error: complaints.append(str(error)))
-        tab.on("request", lambda r: None if r.url.startswith((address, "data:", "blob:")) else complaints.append(r.url))
+        complaints.append(listen(tab, address))
         if script:
             tab.add_init_script(script)
         tab.goto(address)
@@ -112,7 +102,7 @@ def visit(browser: Browser, folders: dict[str, Path]) -> Iterator[Any]:
     yield opened
     for context in contexts:
         context.close()
-    assert complaints == []
+    assert not any(complaints)
 
 
 def captured(tab: Page, view: int, poses: list[Pose]) -> FloatArray:
