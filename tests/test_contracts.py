@@ -169,7 +169,7 @@ class TestPanda(ArtContract):
 def outcome() -> dict[str, set[str]]:
     """The tests of ``broken_stages.py`` that failed, by class."""
     flags = ["-q", "--tb=no", "-rfE", "-p", "no:cacheprovider"]
-    command = [sys.executable, "-m", "pytest", *flags, str(Path(__file__).with_name("broken_stages.py"))]
+    command = [sys.executable, "-m", "pytest", "-n0", *flags, str(Path(__file__).with_name("broken_stages.py"))]
     said = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300).stdout
     failed: dict[str, set[str]] = {name: set() for name in EXPECTED}
     for name, test in re.findall(r"^(?:FAILED|ERROR) \S+::(\w+)::(\w+)", said, re.MULTILINE):
