@@ -44,11 +44,12 @@ def mirror(
     right = images.pop(TURNS[0])
     best = max(images, key=lambda name: images[name])
     text = f"rendered from {file.name}, the picture is {right:.1f} dB from its target"
-    if flipped > right + MARGIN_DB:
+    good = -np.inf if claimed_db is None else claimed_db - OFF_DB
+    if flipped > max(right + MARGIN_DB, good):
         return Finding("mirror image", "red", f"{text}, but {flipped:.1f} dB if the file is mirrored: it is inside out")
-    if images[best] > right + MARGIN_DB:
+    if images[best] > max(right + MARGIN_DB, good):
         return Finding("mirror image", "red", f"{text}, but {images[best]:.1f} dB from the target {best}")
-    if claimed_db is not None and right < claimed_db - OFF_DB:
+    if right < good:
         return Finding("mirror image", "red", f"{text}; the run saw {claimed_db:.1f} dB: another lens, or turned?")
     if images[best] > right - MARGIN_DB:
         text = f"{text}, which looks the same {best}; {flipped:.1f} dB if the file is mirrored"
