@@ -132,7 +132,7 @@ def test_an_item_that_kills_every_worker_is_given_up_and_stops_no_other() -> Non
     results = list(Dask(workers=1).map(deadly, range(3)))
     assert (results[0], results[2]) == (0, 2)
     assert isinstance(results[1], StageError)
-    assert "4 workers died of this" in str(results[1])
+    assert "worker after worker died of this" in str(results[1])
 
 
 def test_workers_of_our_own_have_the_threads_asked_for() -> None:

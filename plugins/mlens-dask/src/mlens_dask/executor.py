@@ -84,19 +84,26 @@ class Dask(Executor):
 def mapped(
     client: Client, function: Callable[[Item], Result], items: Iterable[Item]
 ) -> Iterator[Result | Exception]:
-    """See ``Dask.map``."""
+    """See ``Dask.map``.
+
+    Whoever waits on a worker is under suspicion when it dies, so an item that was given up is tried again, alone.
+    """
+    from distributed import KilledWorker, wait
+
+    listed = list(items)
     shared = client.submit(_itself, function, pure=False)
-    for future in client.map(_apply, list(items), function=shared, pure=False):
-        yield _settled(future)
+    futures = client.map(_apply, listed, function=shared, pure=False)
+    for item, future in zip(listed, futures, strict=True):
+        found = _settled(future)
+        if isinstance(found, KilledWorker):
+            wait(futures)
+            found = _settled(client.submit(_apply, item, function=shared, pure=False))
+        yield StageError("worker after worker died of this") if isinstance(found, KilledWorker) else found
 
 
 def _settled(future: Any) -> Any:
-    from distributed import KilledWorker
-
     try:
         return future.result()
-    except KilledWorker as error:
-        return StageError(f"{error.allowed_failures + 1} workers died of this, one after the other")
     except Exception as error:
         return error
 
