@@ -36,6 +36,16 @@ def appearing(out: Path) -> Iterator[Path]:
         shutil.rmtree(partial, ignore_errors=True)
 
 
+@contextmanager
+def appearing_file(path: Path) -> Iterator[Path]:
+    """Where to write a file, which is put in the place of ``path`` when the block ends well, and gone otherwise."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=f".{path.name}-", dir=path.parent) as scratch:
+        partial = Path(scratch, path.name)
+        yield partial
+        os.replace(partial, path)
+
+
 def save_heights(solid: Solid, lens: Lens, folder: Path) -> None:
     """Keep the heights of a solid that still has its facets' grid."""
     from magiclens.meshing.solid import heights_of

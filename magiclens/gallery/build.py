@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 from collections.abc import Iterable, Mapping
 from importlib.resources import files
@@ -12,6 +11,7 @@ from pathlib import Path
 import magiclens
 from magiclens.errors import InputError
 from magiclens.executors import Executor
+from magiclens.folder import appearing_file
 from magiclens.gallery.docs import FOLDER, DocPage, Library, doc_page, doc_paths, normal
 from magiclens.gallery.lens import LensPage, lens_page
 from magiclens.gallery.listed import Gallery, load_gallery
@@ -103,11 +103,8 @@ def _facts(lenses: Iterable[LensPage], quick: bool) -> str:
 
 
 def _write(path: Path, text: str) -> None:
-    """Write a file that is never seen half-written."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}")
-    partial.write_text(text, encoding="utf-8")
-    os.replace(partial, path)
+    with appearing_file(path) as partial:
+        partial.write_text(text, encoding="utf-8")
 
 
 def _tidy(out: Path, kept: set[str], runs: Iterable[Path]) -> None:

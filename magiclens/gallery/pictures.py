@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from magiclens.errors import InputError
+from magiclens.folder import appearing_file
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -74,10 +74,8 @@ def fitted(size: tuple[int, int], width: int) -> tuple[int, int]:
 
 def write_webp(path: Path, image: Image) -> None:
     """Write a picture as WebP, whole or not at all; equal pictures give equal bytes."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}")
-    image.save(partial, "WEBP", quality=QUALITY, method=4)
-    os.replace(partial, path)
+    with appearing_file(path) as partial:
+        image.save(partial, "WEBP", quality=QUALITY, method=4)
 
 
 def _resized(image: Image, size: tuple[int, int]) -> Image:

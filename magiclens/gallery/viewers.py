@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import os
 from collections.abc import Mapping
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
 
 from magiclens.executors import Executor, raising
-from magiclens.folder import HEIGHTS, MANIFEST
+from magiclens.folder import HEIGHTS, MANIFEST, appearing_file
 from magiclens.viewer import fragment
 
 CACHE = ".cache"
@@ -31,10 +30,9 @@ def viewers(runs: Mapping[str, Path], site: Path, executor: Executor) -> dict[st
 
 def _write(task: tuple[Path, Path]) -> None:
     folder, path = task
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(".partial")
-    partial.write_text(fragment(folder) if (folder / HEIGHTS).is_file() else "", encoding="utf-8")
-    os.replace(partial, path)
+    text = fragment(folder) if (folder / HEIGHTS).is_file() else ""
+    with appearing_file(path) as partial:
+        partial.write_text(text, encoding="utf-8")
 
 
 def _key(folder: Path) -> str:

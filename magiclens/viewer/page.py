@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import html
 import json
-import os
-import tempfile
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from magiclens.errors import InputError
-from magiclens.folder import MANIFEST
+from magiclens.folder import MANIFEST, appearing_file
 from magiclens.manifest import REFERENCE_RENDERER, refresh_manifest, render_path, source_path
 from magiclens.reopen import Reopened, reopen
 from magiclens.viewer.facts import facts
@@ -82,21 +80,11 @@ def write_view(run_dir: Path, out: Path | None = None) -> Path:
     if path.is_dir():
         raise InputError(f"'{path}' is a folder; name a file, such as {path / 'view.html'}", "--out")
     text = page(run_dir)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    _write_whole(path, text)
+    with appearing_file(path) as partial:
+        partial.write_text(text, encoding="utf-8")
     if path.resolve().is_relative_to(run_dir.resolve()):
         refresh_manifest(run_dir)
     return path
-
-
-def _write_whole(path: Path, text: str) -> None:
-    partial = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
-    try:
-        (partial / path.name).write_text(text, encoding="utf-8")
-        os.replace(partial / path.name, path)
-    finally:
-        (partial / path.name).unlink(missing_ok=True)
-        partial.rmdir()
 
 
 def _name(folder: Path) -> str:
