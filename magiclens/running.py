@@ -259,7 +259,11 @@ def _design(
     best = (candidates, *_shape(plan, scene, candidates, rng["annealer"], worker))
     if plan.spec.pipeline.rematch:
         best = _rematched(plan, scene, best, rng, worker)
-    return *best, worker.part("meshing", partial(solid_from_heights, best[2]))
+    candidates, assignment, built = best
+    if matcher.looks:
+        refined, integrator = partial(plan.integrator.stage.refine, scene, built), plan.integrator
+        built = worker.stage(integrator, refined, partial(check_height_field, plan.lens))
+    return candidates, assignment, built, worker.part("meshing", partial(solid_from_heights, built))
 
 
 def _blank(scene: Scene) -> Scene:

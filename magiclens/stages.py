@@ -87,6 +87,13 @@ class Integrator(Stage):
     def integrate(self, scene: Scene, assignment: Assignment, progress: Progress = silent) -> HeightField:
         """A height field within the lens's relief and slope limits. Raises StageError naming a facet that cannot be."""
 
+    def refine(self, scene: Scene, built: HeightField, progress: Progress = silent) -> HeightField:
+        """The height field that goes on to be meshed: a better one, within the same limits, if it knows how.
+
+        built: from the final assignment. Called once, at the end, and only if the matcher looks at the pictures.
+        """
+        return built
+
 
 class Finisher(Stage):
     """Repairs, smooths or checks the closed mesh."""

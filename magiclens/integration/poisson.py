@@ -27,6 +27,9 @@ class Poisson(Integrator):
         None, description="no step between facets exceeds this; taken from the micro-facets at the border"
     )
     rounds: int = Field(30, ge=1, description="rounds of orientation and integration, at most")
+    refinement: int = Field(
+        12, ge=0, description="steps of free-form refinement, per blur of the sources; 0 leaves facets smooth lenslets"
+    )
     tolerance: float = Field(1e-5, gt=0, description="stop once no height moves by more than this, mm")
 
     def integrate(self, scene: Scene, assignment: Assignment, progress: Progress = silent) -> HeightField:
@@ -34,3 +37,11 @@ class Poisson(Integrator):
         from magiclens.integration.two_level import integrate
 
         return integrate(self, scene, assignment, progress)
+
+    def refine(self, scene: Scene, built: HeightField, progress: Progress = silent) -> HeightField:
+        """Move the facets' vertices so that they show their tiles better; borders stay where steps are limited."""
+        from magiclens.integration.refine import refine
+
+        if self.refinement == 0:
+            return built
+        return refine(scene, built, self.refinement, self.step_limit is not None, progress)
