@@ -26,10 +26,10 @@ ITERATIONS = 6
 """Of conjugate gradients per step."""
 ENOUGH = 3e-3
 """A step that lowers a facet's error by a smaller share is its last."""
-PIXELS = 0.75
-"""Pixels in which a facet's picture is compared, per micro-facet along a side."""
-LOOKS = 4
-"""Look-ups of the source per side of such a pixel."""
+RESOLUTION, FINEST, COARSEST = 512, 1.5, 0.75
+"""Pixels along the lens's side in which its picture is compared; pixels per micro-facet, at most and at least."""
+LOOKS = 3
+"""Look-ups of the source along a micro-facet's side, about."""
 DISPLAY = 8192
 """Entries of the table of display values."""
 ROWS = 16
@@ -87,14 +87,16 @@ def _measured(refined: HeightField, share: float) -> HeightField:
 
 
 def _samples(lens: Lens) -> Samples:
-    m, pixels = lens.microfacets, max(4, round(PIXELS * lens.microfacets))
-    cell, side = lens.pitch_mm / m, pixels * LOOKS
+    m = lens.microfacets
+    pixels = round(min(max(RESOLUTION / lens.facets, COARSEST * m), FINEST * m))
+    looks = max(2, round(LOOKS * m / pixels))
+    cell, side = lens.pitch_mm / m, pixels * looks
     at = (np.arange(side) + 0.5) * m / side
     right, down = (a.ravel() for a in np.meshgrid(at, at))
     i, j = down.astype(int), right.astype(int)
     upper = (right - j > down - i).astype(int)
     triangle = 2 * (i * m + j) + upper
-    pixel = np.add.outer(np.arange(side) // LOOKS * pixels, np.arange(side) // LOOKS).ravel()
+    pixel = np.add.outer(np.arange(side) // looks * pixels, np.arange(side) // looks).ravel()
     pairs, pair = np.unique(pixel * (2 * m * m) + triangle, return_inverse=True)
     return Samples(
         cell, pixels, side, triangle, (right - j - (1 + upper) / 3) * cell, (i + (2 - upper) / 3 - down) * cell,
