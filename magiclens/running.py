@@ -446,7 +446,7 @@ def _as_made(machine: Machine, scene: Scene, solid: Solid, folder: Path) -> dict
     if made is None:
         return {}
     write_pictures(made.pictures, scene.views, folder, "as-made")
-    return {"fabrication_loss_db": made.loss_db}
+    return {"as_made_psnr_db": made.psnr_db, "fabrication_loss_db": made.loss_db}
 
 
 def _preflight(plan: Plan, facts: dict[str, Any], solid: Solid, folder: Path) -> None:

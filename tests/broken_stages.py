@@ -273,6 +273,73 @@ class TestIntegratorUpsideDown(IntegratorContract):
     stage = integrator(lambda h: h[:, :, ::-1].copy())
 
 
+class Refining(Poisson):
+    """A good integrator whose refined heights are spoilt before they are returned."""
+
+    spoil: ClassVar[Callable[[FloatArray], FloatArray]]
+
+    def refine(self, scene: Scene, built: HeightField, progress: Progress = silent) -> HeightField:
+        refined = super().refine(scene, built, progress)
+        return replace(refined, heights_mm=type(self).spoil(refined.heights_mm))
+
+
+def refiner(spoil: Callable[[FloatArray], FloatArray]) -> Refining:
+    cls = type("Spoilt", (Refining,), {"spoil": staticmethod(spoil), "__module__": __name__})
+    return cls(refinement=1)  # type: ignore[no-any-return]
+
+
+@must_fail("refining_keeps_the_limits")
+class TestRefinerOfNothing(IntegratorContract):
+    stage = refiner(lambda h: h * np.nan)
+
+
+@must_fail("refining_keeps_the_limits")
+class TestRefinerOfHalfALens(IntegratorContract):
+    stage = refiner(lambda h: h[:2].copy())
+
+
+@must_fail("refining_keeps_the_limits")
+class TestRefinerTooTall(IntegratorContract):
+    stage = refiner(lambda h: h + 2.5)
+
+
+@must_fail("refining_keeps_the_limits")
+class TestRefinerTooSteep(IntegratorContract):
+    stage = refiner(lambda h: np.clip(h + 1.5 * (np.indices(h.shape)[3] % 2), -2, 2))
+
+
+@must_fail("refining_twice_gives_the_same")
+class TestRefinerOfItsOwnLuck(IntegratorContract):
+    stage = refiner(lambda h: h + 1e-3 * random.random())
+
+
+class Careless(Poisson):
+    """Refines in place."""
+
+    def refine(self, scene: Scene, built: HeightField, progress: Progress = silent) -> HeightField:
+        built.heights_mm.flags.writeable = True
+        built.heights_mm[:] *= 0.99
+        return built
+
+
+@must_fail("refining_changes_no_input")
+class TestCarelessRefiner(IntegratorContract):
+    stage = Careless()
+
+
+class Returning(Poisson):
+    """Starts again in the middle."""
+
+    def refine(self, scene: Scene, built: HeightField, progress: Progress = silent) -> HeightField:
+        progress(0.7)
+        return super().refine(scene, built, progress)
+
+
+@must_fail("refining_tells_its_progress_in_fractions_that_grow")
+class TestReturningRefiner(IntegratorContract):
+    stage = Returning(refinement=1)
+
+
 class Finishing(Pymeshlab):
     """A good finisher whose solid is spoilt before it is returned."""
 

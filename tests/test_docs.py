@@ -6,13 +6,14 @@ import re
 import shlex
 from pathlib import Path
 
+import numpy as np
 import pytest
 from markdown_it import MarkdownIt
 from typer.testing import CliRunner
 
 from magiclens.cli import app
 from magiclens.gallery.docs import inline, slug
-from magiclens.gallery.drawings import DRAWINGS
+from magiclens.gallery.drawings import DRAWINGS, PX_PER_MM, _one_facet, _seen_by
 from magiclens.gallery.listed import load_gallery
 from magiclens.gallery.options import model_tables, takes
 from magiclens.images.art import ART
@@ -81,6 +82,18 @@ def test_drawings_say_what_is_in_them_to_those_who_do_not_see_them(name: str) ->
     assert drawing.startswith("<svg ")
     assert 'role="img" aria-label="a &lt;drawing&gt;"' in drawing
     assert "nan" not in drawing
+
+
+def test_the_drawn_facet_shows_its_corner_once_it_is_refined() -> None:
+    """And its micro-facets look at ink or paper as they shall."""
+    scene, shapes = _one_facet()
+    wanted = scene.views[0].target[..., 0] < 0.5
+    (before, even), (after, bent) = (_seen_by(scene, shape) for shape in shapes)
+    column, row = np.moveaxis((np.stack([even, bent]) * (1, -1) + 10) * PX_PER_MM, -1, 0).astype(int)
+    astray = (scene.views[0].source[row, column, 0] < 0.5) != wanted[1::3, 1::3]
+    for was, left in (((before != wanted).mean(), (after != wanted).mean()), astray.mean(axis=(1, 2))):
+        assert was > 0.05
+        assert left < 0.02
 
 
 def test_descriptions_are_escaped_but_for_code() -> None:

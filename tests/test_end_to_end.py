@@ -99,7 +99,7 @@ def test_every_eye_sees_its_own_target_and_no_other(tmp_path: Path, cells: str, 
             assert score(picture, pictures[0]).psnr_db > 22
     metrics = run.manifest["metrics"]
     shown = np.mean([view["psnr_db"] for view in run.manifest["views"]])
-    assert metrics["assigned_psnr_db"] == pytest.approx(shown, abs=2)
+    assert shown > metrics["assigned_psnr_db"] + 2, "refined facets show more than lenslets could"
     assert metrics["watertight"] == 1
     assert metrics["self_intersections"] == 0
 

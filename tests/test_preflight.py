@@ -24,7 +24,7 @@ from magiclens.plan import Plan, load_plan
 from magiclens.preflight import making, optics
 from magiclens.preflight.exported import Exported, read_exported
 from magiclens.preflight.finding import Finding, first_of, graded, worst
-from magiclens.preflight.inspect import Preflight, inspect
+from magiclens.preflight.inspect import Preflight, _as_made, inspect
 from magiclens.preflight.page import INK, lens_map, table, write_preflight
 from magiclens.preflight.sight import facets_of, look, slopes_deg
 from magiclens.profiles.machines import machines
@@ -105,7 +105,15 @@ def test_a_run_ends_with_its_preflight(run: Run) -> None:
 def test_a_run_states_what_the_machine_costs(run: Run) -> None:
     loss = run.manifest["metrics"]["fabrication_loss_db"]
     assert loss > 0.5
-    assert f"{loss:.2f} dB" in checked(run.folder)["as made"].text
+    assert f"{loss:.1f} dB" in checked(run.folder)["as made"].text
+
+
+@pytest.mark.parametrize(
+    ("shown", "loss", "status"), [(25, 12, "green"), (15, 2, "green"), (15, 8, "amber"), (9, 8, "red")]
+)
+def test_what_counts_is_the_picture_as_made(shown: float, loss: float, status: str) -> None:
+    (finding,) = _as_made({"as_made_psnr_db": shown, "fabrication_loss_db": loss})
+    assert finding.status == status
 
 
 def test_the_quick_check_agrees_with_the_thorough_one(run: Run) -> None:

@@ -119,7 +119,7 @@ def test_codesign_improves_the_picture_and_keeps_the_source(write_spec: SpecWrit
     edited = made(write_spec, tmp_path, CODESIGN, "edited", "pipeline.codesign=1", encoder)
     before, after = ([view["psnr_db"] for view in run.manifest["views"]] for run in (plain, edited))
     assert all(np.array(after) > np.array(before) + 0.5)
-    assert edited.manifest["metrics"]["source_ssim"] > 0.9
+    assert edited.manifest["metrics"]["source_ssim"] > 0.85
     assert (edited.folder / "given").is_dir()
     assert not (plain.folder / "given").exists()
 

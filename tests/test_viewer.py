@@ -6,6 +6,7 @@ import json
 import math
 import re
 import shutil
+from base64 import b64decode
 from collections.abc import Iterator
 from dataclasses import replace
 from io import BytesIO
@@ -17,10 +18,11 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from PIL import Image
 from playwright.sync_api import Browser, CDPSession, Page
+from scipy.ndimage import gaussian_filter
 from typer.testing import CliRunner
 
 from browsers import chromium, listen
-from magiclens.artifacts import FloatArray, View
+from magiclens.artifacts import FloatArray, Lens, View
 from magiclens.cli import app
 from magiclens.images import read_image, to_display, to_linear
 from magiclens.images.files import write_png
@@ -29,8 +31,8 @@ from magiclens.rendering.trace import picture, trace
 from magiclens.reopen import Reopened, reopen
 from magiclens.running import run_spec
 from magiclens.viewer import MOST_BYTES, fragment, page
-from magiclens.viewer.facts import _kept
-from magiclens.viewer.packing import pack, unpack
+from magiclens.viewer.facts import LANDING_MM, _finest_mm, _kept
+from magiclens.viewer.packing import pack, polynomials, unpack
 from magiclens.viewer.page import _for_script
 from magiclens.viewer.pictures import fitting
 
@@ -141,20 +143,45 @@ def likeness(seen: FloatArray, wanted: FloatArray) -> float:
     return psnr_db(*np.broadcast_arrays(to_display(seen), to_display(wanted)))
 
 
+def smooth_heights(facets: int, lines: int) -> FloatArray:
+    """Every facet bends its own way, as lenslets do."""
+    x = np.linspace(-1, 1, lines)
+    bend = np.random.default_rng(0).normal(size=(3, facets, facets, 1, 1))
+    return bend[0] + 0.3 * bend[1] * x**2 + 0.2 * bend[2] * x * x[:, None]
+
+
 def test_packed_heights_are_right_to_a_tenth_of_a_micrometre() -> None:
-    x = np.linspace(-1, 1, 9)
-    bend = np.random.default_rng(0).normal(size=(2, 6, 6, 1, 1))
-    heights = 2 * bend[0] + np.sin(bend[1] * x) * np.cos(x[:, None]) + 0.1 * x
-    packed = pack(heights, 100_000)
-    np.testing.assert_allclose(unpack(packed, 6, 9), heights, atol=1e-4)
-    assert packed.step < 1e-3
+    heights = smooth_heights(6, 9) + 0.05 * np.random.default_rng(1).normal(size=(6, 6, 9, 9))
+    np.testing.assert_allclose(unpack(pack(heights, 2e-5, 100_000), 6, 9), heights, atol=1e-4)
+
+
+def test_smooth_facets_take_a_few_bytes_each() -> None:
+    assert len(pack(smooth_heights(16, 23), 1e-4, 100_000).content) < 20 * 16**2
 
 
 def test_rough_heights_are_packed_more_coarsely_when_there_is_little_room() -> None:
     heights = np.random.default_rng(0).normal(size=(8, 8, 5, 5))
-    packed = pack(heights, 3000)
-    assert len(packed.content) <= 3000
+    packed = pack(heights, 1e-5, 3000)
+    assert 2500 < len(packed.content) <= 3000
     assert unpack(packed, 8, 5) == pytest.approx(heights, abs=0.3)
+
+
+def test_polynomials_are_orthonormal_to_the_highest_degree() -> None:
+    basis = polynomials(61)
+    np.testing.assert_allclose(basis @ basis.T, np.eye(61), atol=1e-12)
+    assert (basis[:, -1] > 0).all()
+
+
+@pytest.mark.parametrize("gap", [0.0, 100.0])
+def test_micro_facets_that_turn_one_by_one_still_send_light_where_it_belongs(gap: float) -> None:
+    lens = Lens(facets=8, microfacets=22, size_mm=25.0, gap_mm=gap)
+    slopes = 0.05 * np.random.default_rng(0).normal(size=(8, 8, 23, 23))
+    heights = smooth_heights(8, 23) + np.cumsum(slopes, axis=3) * lens.pitch_mm / 22
+    error = unpack(pack(heights, _finest_mm(lens), 10**6), 8, 23) - heights
+    way = (lens.ior - 1) * (lens.thickness_mm / lens.ior + gap)
+    for axis in (2, 3):
+        landing = np.diff(error, axis=axis) / (lens.pitch_mm / 22) * way
+        assert 0.5 * LANDING_MM < np.sqrt((landing**2).mean()) < 1.1 * LANDING_MM
 
 
 @pytest.mark.parametrize("most", [200_000, 20_000, 900])
@@ -162,6 +189,24 @@ def test_a_picture_fits_into_the_bytes_that_it_is_given(tmp_path: Path, most: in
     noise = np.random.default_rng(0).random((128, 128, 3)).astype(np.float32)
     write_png(tmp_path / "noise.png", noise)
     assert len(fitting(tmp_path / "noise.png", most)) <= most * 4 / 3 + 40
+
+
+def test_photographs_are_kept_well_or_at_least_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    photograph = gaussian_filter(np.random.default_rng(0).random((128, 128, 3)), (1, 1, 0)).astype(np.float32)
+    write_png(tmp_path / "a.png", photograph)
+    content = fitting(tmp_path / "a.png", 15_000)
+    assert content.startswith("data:image/avif;")
+    assert psnr_db(shown(content), to_display(photograph)) > 35
+    monkeypatch.delitem(Image.SAVE, "AVIF")
+    content = fitting(tmp_path / "a.png", 15_000)
+    assert content.startswith("data:image/webp;")
+    assert psnr_db(shown(content), to_display(photograph)) > 25
+
+
+def shown(uri: str) -> FloatArray:
+    """(H, W, 3) display values of a picture in a data URI."""
+    with Image.open(BytesIO(b64decode(uri.partition(",")[2]))) as image:
+        return np.asarray(image.convert("RGB"), np.float32) / 255
 
 
 def test_of_many_frames_some_are_kept_evenly(folders: dict[str, Path]) -> None:
@@ -215,7 +260,7 @@ def test_in_its_place_the_lens_shows_what_the_tracer_saw(visit: Any, folders: di
         (seen,) = captured(tab, k, [{}])
         assert tab.evaluate("magiclens.atHome()")
         wanted = read_image(folders[name] / f"renders/tracer/{view.name}.png")
-        assert likeness(np.rot90(seen, view.quarter_turns), wanted) > 40
+        assert likeness(np.rot90(seen, view.quarter_turns), wanted) > 37
 
 
 @pytest.mark.parametrize("name", list(LENSES))
@@ -226,7 +271,7 @@ def test_out_of_its_place_the_lens_shows_what_the_tracer_sees(visit: Any, folder
     poses = [{key: at_home[key] + change.get(key, 0.0) for key in at_home} for change in CHANGES.values()]
     first, *seen = captured(visit(name), len(views) - 1, [at_home, *poses])
     for picture_, pose, change in zip(seen, poses, CHANGES, strict=True):
-        assert likeness(picture_, traced(lens, views[-1], pose)) > 35, change
+        assert likeness(picture_, traced(lens, views[-1], pose)) > 33, change
         assert likeness(picture_, first) < 25, change
 
 

@@ -8,8 +8,9 @@ from types import MappingProxyType
 
 import numpy as np
 
-from magiclens.artifacts import FloatArray
+from magiclens.artifacts import Assignment, BoolArray, FloatArray, HeightField, Lens, Scene, View
 from magiclens.gallery.svg import Point, Svg
+from magiclens.images import circles
 from magiclens.optics.refraction import facet_normal, refract
 
 IOR = 1.49
@@ -17,6 +18,8 @@ EYE: Point = (0.0, 115.0)
 TOP = 40.0
 """Height of the slab's mean top, mm; its bottom lies on the source, at 0."""
 HALF = 50.0
+PX_PER_MM = 8
+"""Of the sheet of discs."""
 
 
 def refraction(alt: str) -> str:
@@ -114,9 +117,34 @@ def channels(alt: str) -> str:
     return svg.render(alt)
 
 
+def free_form(alt: str) -> str:
+    """One facet before and after refinement: what it shows, and where on the source it looks."""
+    scene, shapes = _one_facet()
+    (view,), size = scene.views, scene.lens.source_size_mm
+    (first, even), (last, bent) = (_seen_by(scene, shape) for shape in shapes)
+    middle, half = even.mean(axis=(0, 1)), 3.0
+    left, top = middle[0] - half + size / 2, size / 2 - middle[1] - half
+    columns, rows = (slice(round(at * PX_PER_MM), round((at + 2 * half) * PX_PER_MM)) for at in (left, top))
+    source = view.source[rows, columns, 0] < 0.5
+    svg = Svg(-2.0, -10.0, 168.0, 116.0, 4.2)
+    _print(svg, (25.0, 88.0), view.target[..., 0] < 0.5, "the facet's tile")
+    _print(svg, (83.0, 88.0), first, "what a lenslet shows")
+    _print(svg, (141.0, 88.0), last, "what it shows refined")
+    _print(svg, (25.0, 27.0), source, "the sheet around its patch")
+    for x, net, title in ((83.0, even, "where a lenslet looks"), (141.0, bent, "where it looks refined")):
+        _print(svg, (x, 27.0), source, title)
+        for (u, v), white in zip(net.reshape(-1, 2), view.target[1::3, 1::3].ravel(), strict=True):
+            at = x + float(u - middle[0]) * 25.0 / half, 27.0 + float(v - middle[1]) * 25.0 / half
+            svg.dot(at, 3.5, "cool" if white else "hot")
+    return svg.render(alt)
+
+
 DRAWINGS: Mapping[str, Callable[[str], str]] = MappingProxyType(
-    {"refraction": refraction, "many-facets": many_facets, "cells": cells, "maps": maps, "channels": channels}
-)
+    {
+        "refraction": refraction, "many-facets": many_facets, "cells": cells, "maps": maps, "channels": channels,
+        "free-form": free_form,
+    }
+)  # fmt: skip
 """By name: from a text that says what is to be seen to the SVG element."""
 
 
@@ -174,6 +202,43 @@ def _letter(svg: Svg, middle: Point, matrix: FloatArray, possible: bool) -> None
         svg.line([(middle[0] + float(x), middle[1] + float(y)) for x, y in shown], "stroke")
     if not possible:
         svg.line([(middle[0] - 14, middle[1] - 14), (middle[0] + 14, middle[1] + 14)], "ray bad")
+
+
+def _one_facet() -> tuple[Scene, tuple[HeightField, HeightField]]:
+    """A facet over discs that shall show a corner: as the best lenslet, and refined."""
+    from magiclens.integration.poisson import Poisson
+    from magiclens.matching.exhaustive import Exhaustive
+
+    lens = Lens(6.0, 20.0, facets=1, microfacets=16, thickness_mm=20.0, relief_mm=3.0, floor_mm=16.0)
+    rng, at = np.random.default_rng(2), np.linspace(-1, 1, 97)[1::2]
+    corner = ((at[None, :] > -0.1) & (at[:, None] > -0.25)).astype(np.float32)[..., None]
+    sheet = circles(lens.source_size_mm, PX_PER_MM, rng)
+    scene = Scene(lens, (View("", sheet, corner, np.array([0.0, 0.0, 220.0])),))
+    found = Exhaustive(candidates=1).match(scene, rng)
+    lenslet = Poisson().integrate(scene, Assignment.pick(found, np.zeros((1, 1), np.int64)))
+    return scene, (lenslet, Poisson().refine(scene, lenslet))
+
+
+def _seen_by(scene: Scene, shape: HeightField) -> tuple[BoolArray, FloatArray]:
+    """Which pixels of a facet's picture are dark, and where on the source its micro-facets look, (m, m, 2) mm."""
+    from magiclens.meshing.solid import solid_from_heights
+    from magiclens.rendering.trace import picture, trace
+
+    solid, (view,) = solid_from_heights(shape), scene.views
+    seen = picture(trace(solid, scene.lens, view, 48, 3), view.source, scene.lens.source_size_mm)
+    return seen[..., 0] < 0.5, trace(solid, scene.lens, view, scene.lens.microfacets, 1)[:, :, 0, :2]
+
+
+def _print(svg: Svg, middle: Point, dark: BoolArray, title: str) -> None:
+    """A black and white picture, 50 wide: a strip for every run of dark pixels."""
+    left, top, pixel = middle[0] - 25.0, middle[1] + 25.0, 50.0 / len(dark)
+    svg.area([(left, top), (left + 50, top), (left + 50, top - 50), (left, top - 50)], "paper")
+    for row, line in enumerate(np.pad(dark, ((0, 0), (1, 1)))):
+        high, low = top - row * pixel, top - min(row + 1.2, len(dark)) * pixel
+        for start, end in np.flatnonzero(np.diff(line)).reshape(-1, 2):
+            x, to = left + float(start) * pixel, left + float(end) * pixel
+            svg.area([(x, high), (to, high), (to, low), (x, low)], "ink")
+    svg.text((middle[0], middle[1] - 31.0), title, "middle")
 
 
 def _turned(point: Point, middle: Point, quarters: int) -> Point:

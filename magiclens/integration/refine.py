@@ -26,14 +26,14 @@ ITERATIONS = 6
 """Of conjugate gradients per step."""
 ENOUGH = 3e-3
 """A step that lowers a facet's error by a smaller share is its last."""
-RESOLUTION, FINEST, COARSEST = 512, 1.5, 0.75
+RESOLUTION, FINEST, COARSEST = 512, 1.5, 0.35
 """Pixels along the lens's side in which its picture is compared; pixels per micro-facet, at most and at least."""
 LOOKS = 3
 """Look-ups of the source along a micro-facet's side, about."""
 DISPLAY = 8192
 """Entries of the table of display values."""
-ROWS = 16
-"""Facet rows between two reports of progress."""
+AT_ONCE = 512
+"""Facets between two reports of progress."""
 
 
 def refine(
@@ -44,42 +44,53 @@ def refine(
     At most ``rounds`` Gauss-Newton steps per facet and blur of the sources. locked: the facets' borders stay. A facet
     that would leave the lens's relief stays as it was.
     """
-    lens, n, m = scene.lens, scene.lens.facets, scene.lens.microfacets
-    samples, slab = _samples(lens), _slab(lens, built.eye_mm)
-    matrix, eigenvalues = cosines(m + 1)
-    metric = Metric(np.ascontiguousarray(matrix), eigenvalues / samples.cell_mm**2)
-    free = np.ones((m + 1, m + 1))
-    if locked:
-        free[[0, -1], :] = free[:, [0, -1]] = 0.0
-    given = np.ascontiguousarray(built.heights_mm).reshape(n * n, m + 1, m + 1)
-    heights, centres = given.copy(), lens.facet_centres_mm().reshape(-1, 2)
-    errors, first = np.zeros((n * n, 2)), np.zeros((n * n, 2))
-
-    def descend(blur: float, steps: int, errors: FloatArray, done: float, share: float) -> None:
-        sights = _sights(scene, samples.pixels, blur * lens.pitch_mm)
-        for row in range(0, n, ROWS):
-            part = slice(row * n, (row + ROWS) * n)
-            refine_facets(
-                heights[part],
-                centres[part],
-                samples,
-                sights,
-                slab,
-                metric,
-                free,
-                steps,
-                ITERATIONS,
-                ENOUGH,
-                errors[part],
-            )
-            progress(done + share * min(1.0, (row + ROWS) / n))
-
-    descend(0.0, 0, first, 0.0, 0.1)
+    facets = _Facets(scene, built, locked)
+    first = facets.descend(0.0, 0, lambda done: progress(0.1 * done))[:, 0]
     for stage, blur in enumerate(BLURS):
-        descend(blur, rounds, errors, 0.1 + 0.9 * stage / len(BLURS), 0.9 / len(BLURS))
-    worse = ~(errors[:, 1] < first[:, 0]) | (np.abs(heights).max(axis=(1, 2)) > lens.relief_mm)
-    heights[worse] = given[worse]
-    return _measured(replace(built, heights_mm=heights.reshape(n, n, m + 1, m + 1)), float((~worse).mean()))
+        last = facets.descend(
+            blur, rounds, lambda done, stage=stage: progress(0.1 + 0.9 * (stage + done) / len(BLURS))  # type: ignore[misc]
+        )[:, 1]
+    worse = ~(last < first) | (np.abs(facets.heights).max(axis=(1, 2)) > scene.lens.relief_mm)
+    given = built.heights_mm.reshape(facets.heights.shape)
+    heights = np.where(worse[:, None, None], given, facets.heights).reshape(built.heights_mm.shape)
+    return _measured(replace(built, heights_mm=heights), float((~worse).mean()))
+
+
+def foreseen(scene: Scene, built: HeightField) -> FloatArray:
+    """(N, N) mean squared differences, in display values, of what facets show and their tiles, if no wall were there.
+
+    Infinite where a ray does not arrive at all.
+    """
+    errors: FloatArray = _Facets(scene, built, locked=False).descend(0.0, 0, lambda _: None)[:, 0]
+    return errors.reshape(built.levels_mm.shape)
+
+
+class _Facets:
+    """The facets of a height field on their way down; ``heights``: (F, k, k) mm."""
+
+    def __init__(self, scene: Scene, built: HeightField, locked: bool):
+        k, lens = scene.lens.microfacets + 1, scene.lens
+        matrix, eigenvalues = cosines(k)
+        self._scene, self._samples, self._slab = scene, _samples(lens), _slab(lens, built.eye_mm)
+        self._metric = Metric(np.ascontiguousarray(matrix), eigenvalues / self._samples.cell_mm**2)
+        self._free = np.ones((k, k))
+        if locked:
+            self._free[[0, -1], :] = self._free[:, [0, -1]] = 0.0
+        self._centres = lens.facet_centres_mm().reshape(-1, 2)
+        self.heights = built.heights_mm.reshape(-1, k, k).copy()
+
+    def descend(self, blur: float, rounds: int, progress: Callable[[float], None]) -> FloatArray:
+        """(F, 2) errors before and after at most so many steps with sources blurred by this share of a facet."""
+        sights = _sights(self._scene, self._samples.pixels, blur * self._scene.lens.pitch_mm)
+        errors = np.zeros((len(self.heights), 2))
+        for first in range(0, len(errors), AT_ONCE):
+            part = slice(first, first + AT_ONCE)
+            refine_facets(
+                self.heights[part], self._centres[part], self._samples, sights, self._slab, self._metric, self._free,
+                rounds, ITERATIONS, ENOUGH, errors[part],
+            )  # fmt: skip
+            progress(min(1.0, (first + AT_ONCE) / len(errors)))
+        return errors
 
 
 def _measured(refined: HeightField, share: float) -> HeightField:
@@ -90,7 +101,7 @@ def _samples(lens: Lens) -> Samples:
     m = lens.microfacets
     pixels = round(min(max(RESOLUTION / lens.facets, COARSEST * m), FINEST * m))
     looks = max(2, round(LOOKS * m / pixels))
-    cell, side = lens.pitch_mm / m, pixels * looks
+    cell, side = (lens.pitch_mm - lens.wall_mm) / m, pixels * looks
     at = (np.arange(side) + 0.5) * m / side
     right, down = (a.ravel() for a in np.meshgrid(at, at))
     i, j = down.astype(int), right.astype(int)

@@ -20,9 +20,10 @@ EYE = Tracer(resolution=384, samples=2)
 
 @dataclass(frozen=True)
 class AsMade:
-    """Per view (R, R, C), linear light, what the lens shows as made. loss_db: PSNR as designed minus PSNR as made."""
+    """Per view (R, R, C), linear light, what the lens shows as made; its mean PSNR, and that as designed minus that."""
 
     pictures: Sequence[FloatArray]
+    psnr_db: float
     loss_db: float
 
 
@@ -41,7 +42,8 @@ def as_made(machine: Machine, scene: Scene, solid: Solid) -> AsMade | None:
     if made is None or solid.grid is None:
         return None
     pictures = EYE.render(scene, made)
-    return AsMade(pictures, _psnr_db(EYE.render(scene, solid), scene) - _psnr_db(pictures, scene))
+    shown_db = _psnr_db(pictures, scene)
+    return AsMade(pictures, shown_db, _psnr_db(EYE.render(scene, solid), scene) - shown_db)
 
 
 def rough_pictures(machine: Machine, scene: Scene, solid: Solid) -> list[FloatArray]:

@@ -20,8 +20,8 @@ from magiclens.preflight.sight import facets_of, looks, slopes_deg
 from magiclens.profiles.machines import Machine, Mill
 from magiclens.profiles.materials import materials
 
-COSTLY_DB, RUINOUS_DB = 3.0, 10.0
-"""What making it may cost the picture before it is worth a look, and too much."""
+COSTLY_DB, CLEAR_DB, POOR_DB = 3.0, 20.0, 10.0
+"""What making may cost the picture without a word; from where on a made picture is clear anyway, and no longer one."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def inspect(folder: Path, facts: Mapping[str, Any], plan: Plan, solid: Solid | N
         *([making.reach(file, top, lens, machine)] if isinstance(machine, Mill) else []),
         making.bed(file, machine),
         making.bill(file, machine, materials().get(plan.spec.lens.material or "")),
-        *_as_made(facts["metrics"].get("fabrication_loss_db")),
+        *_as_made(facts["metrics"]),
         picture.mirror(file, lens, views, sights, _claimed_db(facts)),
         picture.resolution(lens, views),
     ]
@@ -120,12 +120,15 @@ def _claimed_db(facts: Mapping[str, Any]) -> float | None:
     return None if None in found else float(np.mean(found))
 
 
-def _as_made(loss_db: float | None) -> list[Finding]:
-    """What the machine costs the picture, if that was simulated."""
-    if loss_db is None:
+def _as_made(metrics: Mapping[str, float]) -> list[Finding]:
+    """What the lens shows as the machine makes it, if that was simulated."""
+    if "as_made_psnr_db" not in metrics:
         return []
-    status: Status = "green" if loss_db <= COSTLY_DB else "amber" if loss_db <= RUINOUS_DB else "red"
-    return [Finding("as made", status, f"layers and blur of the machine cost the picture {loss_db:.2f} dB")]
+    shown_db, loss_db = metrics["as_made_psnr_db"], metrics["fabrication_loss_db"]
+    fine = shown_db >= CLEAR_DB or loss_db <= COSTLY_DB
+    status: Status = "green" if fine else "red" if shown_db < POOR_DB else "amber"
+    told = f"as made the picture is {shown_db:.1f} dB from its target; layers and blur cost {loss_db:.1f} dB"
+    return [Finding("as made", status, told)]
 
 
 def _mean_slopes(top: optics.Top, lens: Lens) -> FloatArray:

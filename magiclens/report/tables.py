@@ -53,6 +53,7 @@ LABELS = {
     "bodies": "Bodies",
     "zero_area_faces": "Faces without area",
     "self_intersections": "Faces that cut others",
+    "as_made_psnr_db": "PSNR as the machine makes the lens, simulated",
     "fabrication_loss_db": "PSNR lost by the machine's layers, blur and polish, simulated",
     "smoothing_mm": "Farthest move of a vertex by smoothing",
 }

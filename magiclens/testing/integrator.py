@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import random
 from typing import Any
 
 import numpy as np
+import pytest
 
 from magiclens.artifacts import FloatArray, HeightField, Scene
-from magiclens.checks import check_height_field
+from magiclens.checks import BadArtifact, check_height_field
 from magiclens.meshing.solid import solid_from_heights
 from magiclens.stages import Integrator, Progress
 from magiclens.testing.scenes import an_assignment, ramps
-from magiclens.testing.stage import Made, StageContract
+from magiclens.testing.stage import SEED, Made, StageContract, digest
 
 SLACK_MM, SLACK_DEG = 1e-6, 2.0
 
@@ -38,15 +40,24 @@ class IntegratorContract(StageContract):
         """See StageContract."""
         check_height_field(given[0].lens, artifact)
 
+    @pytest.fixture(scope="class")
+    @classmethod
+    def refined(cls, scene: Scene, made: Made) -> Made:
+        """What the stage makes of its surface once it is shown the pictures again; itself, if it does not refine."""
+        given, progress = (scene, made.artifact), list[float]()
+        before = digest(given)
+        random.seed(0)
+        np.random.seed(0)  # noqa: NPY002
+        artifact = cls.stage.refine(*given, progress.append)
+        return Made(given, artifact, before, digest(given), progress)
+
     def test_the_surface_stays_within_its_relief(self, scene: Scene, made: Made) -> None:
         """Heights are millimetres above the reference plane."""
-        tallest, limit = np.abs(made.artifact.heights_mm).max(), scene.lens.relief_mm
-        assert tallest <= limit + SLACK_MM, f"it leaves the reference plane by {tallest:.3g} mm, the limit is {limit:g}"
+        _assert_within_relief(scene, made.artifact)
 
     def test_no_micro_facet_is_steeper_than_the_limit(self, scene: Scene, made: Made) -> None:
         """The angle between its normal and +z."""
-        steepest, limit = _steepest_deg(made.artifact), scene.lens.max_slope_deg
-        assert steepest <= limit + SLACK_DEG, f"a micro-facet slopes by {steepest:.1f} deg, the limit is {limit:g}"
+        _assert_not_steep(scene, made.artifact)
 
     def test_facets_look_where_they_were_told_to(self, scene: Scene, made: Made) -> None:
         """Traced: signs, axes and units are right."""
@@ -56,6 +67,41 @@ class IntegratorContract(StageContract):
         assert missed.max() <= self.aim_mm, (
             f"facet row {row}, column {column} looks {missed.max():.2f} mm off its patch, {self.aim_mm:g} will do"
         )
+
+    def test_refining_keeps_the_limits(self, scene: Scene, refined: Made) -> None:
+        """A valid height field, within relief and slope limit."""
+        try:
+            self.check(refined.given, refined.artifact)
+        except BadArtifact as error:
+            pytest.fail(f"the refined surface breaks the contract: {error}")
+        _assert_within_relief(scene, refined.artifact)
+        _assert_not_steep(scene, refined.artifact)
+
+    def test_refining_changes_no_input(self, refined: Made) -> None:
+        """Scene and surface are read-only."""
+        assert refined.after == refined.before, "refine has changed what it was given; work on copies"
+
+    def test_refining_twice_gives_the_same(self, refined: Made) -> None:
+        """Nothing is drawn by lot: there is no rng to draw from."""
+        random.seed(SEED)
+        np.random.seed(SEED)  # noqa: NPY002
+        again = self.stage.refine(*refined.given)
+        assert digest(again) == digest(refined.artifact), "the same inputs were refined to two different surfaces"
+
+    def test_refining_tells_its_progress_in_fractions_that_grow(self, refined: Made) -> None:
+        """From 0 to 1; none at all is fine."""
+        told = np.array([0.0, *refined.progress, 1.0])
+        assert (np.diff(told) >= 0).all(), f"progress was told {list(refined.progress)}; fractions of 1, never less"
+
+
+def _assert_within_relief(scene: Scene, built: HeightField) -> None:
+    tallest, limit = np.abs(built.heights_mm).max(), scene.lens.relief_mm
+    assert tallest <= limit + SLACK_MM, f"it leaves the reference plane by {tallest:.3g} mm, the limit is {limit:g}"
+
+
+def _assert_not_steep(scene: Scene, built: HeightField) -> None:
+    steepest, limit = _steepest_deg(built), scene.lens.max_slope_deg
+    assert steepest <= limit + SLACK_DEG, f"a micro-facet slopes by {steepest:.1f} deg, the limit is {limit:g}"
 
 
 def _steepest_deg(built: HeightField) -> float:

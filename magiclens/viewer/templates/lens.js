@@ -1,4 +1,4 @@
-// Unpacks the lens: coefficients of smooth functions, facet by facet, become the heights of all its micro-facets.
+// Unpacks the lens: coefficients of polynomials, facet by facet, become the heights of all its vertices.
 
 function bytes(text) {
   const raw = atob(text);
@@ -13,9 +13,9 @@ async function inflated(packed) {
 }
 
 // Orthonormal polynomials over k evenly spaced points, by Gram and Schmidt; row d has degree d.
-function polynomials(k, most) {
+function polynomials(k) {
   const rows = [];
-  for (let degree = 0; degree <= most; degree++) {
+  for (let degree = 0; degree < k; degree++) {
     const row = Float64Array.from({ length: k }, (_, i) => {
       const x = (2 * i) / (k - 1) - 1;
       return degree === 0 ? 1 : x * rows[degree - 1][i];
@@ -33,33 +33,34 @@ function polynomials(k, most) {
   return rows;
 }
 
-// Planes of coefficients, one per pair of degrees, each as integers whose bytes lie apart.
-function coefficients(content, count) {
-  const quarter = content.length / 4, found = new Int32Array(quarter);
-  for (let i = 0; i < quarter; i++) {
-    found[i] = content[i] | (content[i + quarter] << 8) | (content[i + 2 * quarter] << 16) | (content[i + 3 * quarter] << 24);
+// Whole numbers whose four bytes lie apart; 0, 1, 2, 3, .. stand for 0, -1, 1, -2, ..
+function integers(content) {
+  const count = content.length / 4, found = new Int32Array(count);
+  for (let i = 0; i < count; i++) {
+    const folded = content[i] | (content[i + count] << 8) | (content[i + 2 * count] << 16) | (content[i + 3 * count] << 24);
+    found[i] = (folded >>> 1) ^ -(folded & 1);
   }
-  return (plane, facet) => found[plane * count + facet];
+  return found;
 }
 
 // All heights on the grid's lines, rows from +y, as the w of the shaders; the rim goes on with the outer slope.
 async function unpack(lens) {
-  const n = lens.facets, k = lens.microfacets + 1, side = n * k + 2, most = Math.min(lens.degree, k - 1);
-  const value = coefficients(await inflated(bytes(lens.heights)), n * n), basis = polynomials(k, most);
-  const grid = new Float32Array(side * side), half = new Float64Array(k * (most + 1));
+  const n = lens.facets, k = lens.microfacets + 1, side = n * k + 2, basis = polynomials(k);
+  const coefficients = integers(await inflated(bytes(lens.heights)));
+  const grid = new Float32Array(side * side), half = new Float64Array(k * k);
   for (let facet = 0; facet < n * n; facet++) {
+    const top = Math.floor(facet / n) * k + 1, left = (facet % n) * k + 1;
     half.fill(0);
-    for (let p = 0, plane = 0; p <= lens.degree; p++) {
-      for (let q = 0; q <= lens.degree - p; q++, plane++) {
-        const c = value(plane, facet) * lens.step;
-        if (c) for (let i = 0; i < k; i++) half[i * (most + 1) + q] += c * basis[p][i];
+    for (let p = 0, at = facet; p < k; p++) {
+      for (let q = 0; q < k; q++, at += n * n) {
+        const c = coefficients[at] * lens.step;
+        if (c) for (let i = 0; i < k; i++) half[i * k + q] += c * basis[p][i];
       }
     }
-    const top = Math.floor(facet / n) * k + 1, left = (facet % n) * k + 1;
     for (let i = 0; i < k; i++) {
       for (let j = 0; j < k; j++) {
         let h = 0;
-        for (let q = 0; q <= most; q++) h += half[i * (most + 1) + q] * basis[q][j];
+        for (let q = 0; q < k; q++) h += half[i * k + q] * basis[q][j];
         grid[(top + i) * side + left + j] = h;
       }
     }

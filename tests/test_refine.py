@@ -1,0 +1,364 @@
+"""Free-form refinement: what its kernels foresee is what the tracer sees, and no facet pays for another's gain."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import ClassVar
+
+import numba
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from magiclens.artifacts import Assignment, FloatArray, HeightField, Scene, View
+from magiclens.images import resize, to_display
+from magiclens.integration.freeform import Metric, _along, _back, _filtered, _look, _pull, _slopes
+from magiclens.integration.freeform import View as Seen
+from magiclens.integration.measures import measures, slopes_deg
+from magiclens.integration.poisson import Poisson
+from magiclens.integration.refine import _samples, _sights, _slab, foreseen
+from magiclens.integration.two_level import cosines
+from magiclens.matching.exhaustive import Exhaustive
+from magiclens.meshing.solid import solid_from_heights
+from magiclens.plan import load_plan
+from magiclens.rendering.trace import picture, trace
+from magiclens.running import run_plan
+from magiclens.stages import Progress, silent
+from magiclens.testing import one_view, two_eyes, two_turns
+from magiclens.testing.scenes import an_assignment
+from scenes import blotches, plane_points_mm, surface
+from toys import TOYS, SpecWriter, ToyIntegrator, ToyMatcher, registry_of
+
+RNG = 11
+RAISED_MM = 1.0
+"""Of rolling lenses, so that eyes beside the lens see them shifted."""
+
+
+def with_lens(scene: Scene, **changes: object) -> Scene:
+    return replace(scene, lens=replace(scene.lens, **changes))  # type: ignore[arg-type]
+
+
+SCENES: dict[str, Callable[[], Scene]] = {
+    "one eye": one_view,
+    "two tilted eyes": two_eyes,
+    "air gap": lambda: with_lens(one_view(), gap_mm=8.0),
+    "vertical cells": lambda: with_lens(one_view(), cells="vertical"),
+    "two eyes over vertical cells": lambda: with_lens(two_eyes(), cells="vertical"),
+    "two turns in colour": two_turns,
+}
+scenes = pytest.mark.parametrize("make", SCENES.values(), ids=list(SCENES))
+
+
+def rolling(scene: Scene) -> HeightField:
+    """One smooth surface over the whole lens: no steps, and facets that no quadratic describes."""
+    x, y = plane_points_mm(scene.lens)
+    heights = RAISED_MM + 0.12 * (np.sin(1.1 * x + 0.3 * y) + np.cos(0.9 * y - 0.5 * x))
+    return surface(scene.lens, heights, None if scene.lens.cells == "vertical" else tuple(scene.reference_eye_mm))
+
+
+def as_lenslets(built: HeightField) -> HeightField:
+    """The quadratic facets that are nearest to given ones."""
+    k = built.heights_mm.shape[-1]
+    v, u = (a.ravel() for a in np.meshgrid(*[np.linspace(-1, 1, k)] * 2, indexing="ij"))
+    basis = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1)
+    flat = built.heights_mm.reshape(-1, k * k)
+    heights = flat @ np.linalg.pinv(basis).T @ basis.T
+    return replace(built, heights_mm=heights.reshape(built.heights_mm.shape))
+
+
+def over_blotches(scene: Scene) -> Scene:
+    """The scene over a smooth source of the same colours."""
+    colours = scene.views[0].source.shape[2]
+    source = np.stack([blotches(256, 4, seed) for seed in range(colours)], axis=-1)
+    return replace(scene, views=tuple(replace(view, source=source) for view in scene.views))
+
+
+def showing(scene: Scene, built: HeightField) -> Scene:
+    """The scene whose targets are what a lens shows."""
+    views = tuple(replace(view, target=traced(scene, built, view)) for view in scene.views)
+    return replace(scene, views=views)
+
+
+def traced(scene: Scene, built: HeightField, view: View) -> FloatArray:
+    """What the built-in tracer sees, in the exposure that makes up for reflection losses; world frame."""
+    lens = scene.lens
+    hits = trace(solid_from_heights(built), lens, view, lens.facets * _samples(lens).pixels, 4)
+    seen = picture(hits, view.in_lens_frame().source, lens.source_size_mm) / np.median(hits[..., 2])
+    return np.ascontiguousarray(np.rot90(seen.clip(0, 1), view.quarter_turns))
+
+
+def traced_errors(scene: Scene, built: HeightField) -> FloatArray:
+    """(N, N) mean squared differences of display values, mean over the views; lens frame."""
+    n, errors = scene.lens.facets, []
+    for view in scene.views:
+        seen = traced(scene, built, view)
+        difference = (to_display(seen) - to_display(resize(view.target, seen.shape[:2]))) ** 2
+        errors.append(np.rot90(difference, -view.quarter_turns).mean(-1).reshape(n, -1, n, len(seen) // n))
+    return np.mean(errors, axis=0).mean(axis=(1, 3))
+
+
+def db(errors: FloatArray) -> float:
+    return float(-10 * np.log10(np.mean(errors)))
+
+
+@scenes
+def test_what_is_foreseen_is_what_the_tracer_sees(make: Callable[[], Scene]) -> None:
+    scene = over_blotches(make())
+    built = rolling(scene)
+    errors = foreseen(showing(scene, built), built)
+    assert db(errors) > 43
+    assert db(errors.max()) > 40
+
+
+@scenes
+def test_from_lenslets_the_shapes_are_found_that_show_what_no_lenslet_can(make: Callable[[], Scene]) -> None:
+    scene = over_blotches(make())
+    scene = showing(scene, rolling(scene))
+    lenslets = as_lenslets(rolling(scene))
+    refined = Poisson().refine(scene, lenslets)
+    before, after = traced_errors(scene, lenslets), traced_errors(scene, refined)
+    assert db(after) > db(before) + 12
+    assert (after < before).all()
+
+
+@pytest.fixture(scope="module")
+def matched() -> tuple[Scene, HeightField]:
+    """Lenslets at the best patches of a sheet of discs for a letter, with steps between them."""
+    scene = one_view()
+    found = Exhaustive(candidates=2, polish=2).match(scene, np.random.default_rng(RNG))
+    chosen = Assignment.pick(found, np.zeros(found.errors.shape[:2], np.int64))
+    return scene, Poisson().integrate(scene, chosen)
+
+
+def test_a_matched_lens_gains_decibels_and_no_facet_of_it_pays(matched: tuple[Scene, HeightField]) -> None:
+    scene, built = matched
+    assert built.metrics["step_max_mm"] > 0.1
+    refined = Poisson().refine(scene, built)
+    before, after = traced_errors(scene, built), traced_errors(scene, refined)
+    assert db(after) > db(before) + 5
+    assert (after - before).max() < 1e-3
+    assert (foreseen(scene, refined) <= foreseen(scene, built)).all()
+
+
+@scenes
+def test_no_facet_shows_its_tile_worse_than_its_lenslet_did(make: Callable[[], Scene]) -> None:
+    """Also where patches have nothing to do with tiles, so that blurred sources lead astray."""
+    scene = make()
+    built = Poisson().integrate(scene, an_assignment(scene))
+    refined = Poisson().refine(scene, built)
+    before, after = foreseen(scene, built), foreseen(scene, refined)
+    same = (refined.heights_mm == built.heights_mm).all(axis=(2, 3))
+    assert (after[~same] < before[~same]).all()
+    assert refined.metrics["facets_refined"] == pytest.approx(1 - same.mean())
+    assert same.mean() < 0.5
+
+
+def test_measures_are_those_of_the_refined_surface(matched: tuple[Scene, HeightField]) -> None:
+    scene, built = matched
+    refined = Poisson().refine(scene, built)
+    assert {**refined.metrics, **measures(refined)} == refined.metrics
+    assert refined.metrics["integration_rounds"] == built.metrics["integration_rounds"]
+    assert not refined.heights_mm.flags.writeable
+
+
+@pytest.mark.parametrize("light", [0.0, 1.0])
+def test_a_picture_that_is_shown_perfectly_is_left_as_it_is(light: float) -> None:
+    scene = one_view()
+    plain = np.full((64, 64, 1), light, np.float32)
+    built = rolling(scene)
+    refined = Poisson().refine(replace(scene, views=(replace(scene.views[0], source=plain, target=plain),)), built)
+    np.testing.assert_array_equal(refined.heights_mm, built.heights_mm)
+
+
+def test_borders_stay_bit_for_bit_where_steps_are_limited(matched: tuple[Scene, HeightField]) -> None:
+    scene, built = matched
+    refined = Poisson(step_limit="0.1mm").refine(scene, built)
+    moved = refined.heights_mm != built.heights_mm
+    assert moved[:, :, 1:-1, 1:-1].mean() > 0.4
+    assert not moved[:, :, [0, -1]].any()
+    assert not moved[..., [0, -1]].any()
+    assert refined.metrics["step_max_mm"] == built.metrics["step_max_mm"]
+    assert db(traced_errors(scene, refined)) > db(traced_errors(scene, built)) + 2
+
+
+def test_a_facet_that_would_leave_the_relief_stays_a_lenslet(matched: tuple[Scene, HeightField]) -> None:
+    scene, built = matched
+    free, tight = (refined_within(scene, built, relief_mm=relief) for relief in (3.0, 2.0))
+    assert db(foreseen(scene, free)) > 55
+    tall = np.abs(free.heights_mm).max(axis=(2, 3)) > 2
+    assert tall.any()
+    np.testing.assert_array_equal(tight.heights_mm[tall], built.heights_mm[tall])
+    np.testing.assert_array_equal(tight.heights_mm[~tall], free.heights_mm[~tall])
+
+
+def refined_within(scene: Scene, built: HeightField, **limits: float) -> HeightField:
+    lens = replace(scene.lens, **limits)  # type: ignore[arg-type]
+    return Poisson().refine(replace(scene, lens=lens), replace(built, lens=lens))
+
+
+@pytest.mark.parametrize("cells", ["eye", "vertical"])
+def test_no_facet_gets_steeper_than_the_limit_and_those_that_are_stay(cells: str) -> None:
+    scene = over_blotches(with_lens(one_view(), cells=cells))
+    scene, lenslets = showing(scene, rolling(scene)), as_lenslets(rolling(scene))
+    assert steepest(refined_within(scene, lenslets, max_slope_deg=60)).max() > 16
+    for limit in (15.0, 12.0):
+        refined = refined_within(scene, lenslets, max_slope_deg=limit)
+        steep = steepest(lenslets) > limit + 0.05
+        assert steepest(refined)[~steep].max() < limit + 0.05
+        assert steepest(refined)[~steep].max() > limit - 0.5
+        np.testing.assert_array_equal(refined.heights_mm[steep], lenslets.heights_mm[steep])
+        assert steep.any() == (limit == 12)
+
+
+def steepest(built: HeightField) -> FloatArray:
+    """(N, N) the steepest micro-facet of every facet, degrees."""
+    points = built.facet_points_mm()
+    return np.array([[slopes_deg(points[i : i + 1, j : j + 1]).max() for j in range(4)] for i in range(4)])
+
+
+def test_no_refinement_is_asked_for_with_zero_steps(matched: tuple[Scene, HeightField]) -> None:
+    scene, built = matched
+    assert Poisson(refinement=0).refine(scene, built) is built
+    with pytest.raises(ValidationError):
+        Poisson(refinement=-1)
+
+
+class Refining(ToyIntegrator):
+    """Adds its mark to the heights, and notes how often."""
+
+    calls: ClassVar[list[HeightField]] = []
+
+    def refine(self, scene: Scene, built: HeightField, progress: Progress = silent) -> HeightField:
+        self.calls.append(built)
+        return replace(built, metrics={**built.metrics, "refined": 1.0})
+
+
+class Universal(ToyMatcher):
+    """Is shown no pictures."""
+
+    looks: ClassVar[bool] = False
+
+
+@pytest.mark.usefixtures("toy_geometry", "without_report")
+@pytest.mark.parametrize(("matcher", "calls"), [(ToyMatcher, 1), (Universal, 0)])
+def test_lenses_are_refined_once_at_the_end_and_universal_ones_never(
+    matcher: type[ToyMatcher], calls: int, write_spec: SpecWriter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Refining, "calls", [])
+    stages = registry_of(*(t for t in TOYS if t not in (ToyMatcher, ToyIntegrator)), matcher, Refining)
+    run = run_plan(load_plan(write_spec(), ["pipeline.rematch=2"], stages), tmp_path / "out")
+    assert len(Refining.calls) == calls
+    assert ("refined" in run.manifest["metrics"]) == bool(calls)
+
+
+def test_views_of_one_eye_share_its_rays_and_equal_sources_are_kept_once() -> None:
+    """Four views that turn with the lens; of the eyes beside it, those at -y after half a turn are at +y."""
+    (view,) = one_view().views
+    poses = {0: (0.0, 5.0), 180: (0.0, -5.0), 90: (3.0, 4.0), 360: (3.0, 4.0)}
+    views = [
+        replace(view, name=str(400 - turn), eye_mm=np.array([x, y, 220.0]), rotation_deg=float(turn))
+        for turn, (x, y) in poses.items()
+    ]
+    scene = over_blotches(Scene(one_view().lens, tuple(views)))
+    sights = _sights(scene, 12, 0.0)
+    assert sights.eyes_mm[:, :2].tolist() == [[0, 5], [3, 4], [4, -3]]
+    assert sights.first.tolist() == [0, 2, 3, 4]
+    assert sights.sources.shape == (256, 256, 3)
+    for at, turns in enumerate((0, 2, 0, 1)):
+        np.testing.assert_array_equal(sights.sources[..., sights.plane[at]], np.rot90(blotches(256, 4), -turns))
+    built = rolling(scene)
+    assert db(foreseen(showing(scene, built), built)) > 47
+
+
+class Facet:
+    """The facet (1, 2) of a rolling lens over a source that is neither black nor white, as its eyes see it."""
+
+    def __init__(self, make: Callable[[], Scene]):
+        scene = over_blotches(make())
+        views = tuple(replace(view, source=0.3 + 0.6 * view.source) for view in scene.views)
+        built = rolling(scene)
+        self.scene = showing(replace(scene, views=views), built)
+        self.heights = built.heights_mm[1, 2].copy()
+        self.centre, self.slab = scene.lens.facet_centres_mm()[1, 2], _slab(scene.lens, built.eye_mm)
+        self.samples = _samples(scene.lens)
+        self.sights = _sights(self.scene, self.samples.pixels, 0.0)
+        self.triangles, self.channels = 2 * scene.lens.microfacets**2, len(self.sights.plane)
+        self.seen = self.look(self.heights)
+
+    def look(self, heights: FloatArray) -> Seen:
+        pixels, pairs = self.samples.pixels**2, len(self.samples.pair_pixel)
+        rays = np.zeros((len(self.sights.eyes_mm), self.triangles, 10))
+        light, residuals = np.zeros((2, pixels, self.channels), np.float32)
+        gradients = np.zeros((pairs, 2, self.channels), np.float32)
+        seen = Seen(np.zeros((self.triangles, 2)), residuals, gradients)
+        error = _look(heights, self.centre, self.samples, self.sights, self.slab, True, rays, light, seen)
+        assert error == pytest.approx((seen.residuals.astype(float) ** 2).mean(), rel=1e-5)
+        return seen
+
+    def slopes(self, heights: FloatArray) -> FloatArray:
+        out = np.zeros((self.triangles, 2))
+        _slopes(heights, self.samples.cell_mm, out)
+        return out
+
+    def along(self, slopes: FloatArray) -> FloatArray:
+        out = np.zeros_like(self.seen.residuals)
+        _along(self.samples, self.seen, slopes, out)
+        return out
+
+
+@scenes
+def test_gradients_are_the_differences_of_what_is_seen(make: Callable[[], Scene]) -> None:
+    facet = Facet(make)
+    v, u = np.meshgrid(*[np.linspace(-1, 1, len(facet.heights))] * 2, indexing="ij")
+    for shape in (u, v, u * u - v, np.sin(3 * u) * v, np.cos(2 * u - 3 * v)):
+        change = 4e-3 * shape
+        plus, minus = (facet.look(facet.heights + sign * change).residuals for sign in (1, -1))
+        found, expected = facet.along(facet.slopes(change)), (plus - minus) / 2
+        assert np.linalg.norm(found - expected) < 0.12 * np.linalg.norm(expected)
+        assert (found * expected).sum() == pytest.approx((expected**2).sum(), rel=0.03)
+
+
+def test_slopes_are_those_along_plus_x_and_plus_y() -> None:
+    """Of a plane: rows run downward, columns to the right."""
+    facet = Facet(one_view)
+    right, down = np.meshgrid(np.arange(9), np.arange(9))
+    slopes = facet.slopes(facet.samples.cell_mm * (0.2 * right - 0.3 * down))
+    np.testing.assert_allclose(slopes, np.broadcast_to((0.2, 0.3), slopes.shape), atol=1e-12)
+
+
+@scenes
+def test_forces_are_pulled_back_the_way_that_changes_go(make: Callable[[], Scene]) -> None:
+    """``_pull`` is the transpose of ``_slopes``, and ``_back`` that of ``_along``."""
+    facet, rng = Facet(make), np.random.default_rng(RNG)
+    heights, forces = rng.normal(size=facet.heights.shape), rng.normal(size=(facet.triangles, 2))
+    pulled = np.zeros_like(heights)
+    _pull(forces, facet.samples.cell_mm, pulled)
+    assert (pulled * heights).sum() == pytest.approx((forces * facet.slopes(heights)).sum(), rel=1e-9)
+    residuals, back = rng.normal(size=facet.seen.residuals.shape).astype(np.float32), np.zeros_like(forces)
+    _back(facet.samples, facet.seen, residuals, back)
+    assert (back * forces).sum() == pytest.approx((residuals * facet.along(forces)).sum(), rel=1e-3)
+
+
+def test_a_filter_of_ones_changes_nothing_and_the_laplacians_is_the_laplacian() -> None:
+    """The metric's eigenvalues belong to its cosines: squared differences along both axes."""
+    h, k = np.random.default_rng(RNG).normal(size=(9, 9)), 9
+    matrix, eigenvalues = cosines(k)
+    metric, work, out = Metric(np.ascontiguousarray(matrix), eigenvalues), np.zeros((k, k)), np.zeros((k, k))
+    _filtered(h, metric, np.ones((k, k)), work, out)
+    np.testing.assert_allclose(out, h, atol=1e-12)
+    _filtered(h, metric, metric.laplacian, work, out)
+    assert (h * out).sum() == pytest.approx((np.diff(h, axis=0) ** 2).sum() + (np.diff(h, axis=1) ** 2).sum())
+
+
+def test_equal_lenses_are_refined_to_equal_bytes_by_any_number_of_threads(matched: tuple[Scene, HeightField]) -> None:
+    scene, built = matched
+    before, given = numba.get_num_threads(), built.heights_mm.tobytes()
+    found = set()
+    for count in (1, 1, min(2, numba.config.NUMBA_NUM_THREADS)):
+        numba.set_num_threads(count)
+        found.add(Poisson().refine(scene, built).heights_mm.tobytes())
+    numba.set_num_threads(before)
+    assert len(found) == 1
+    assert built.heights_mm.tobytes() == given
