@@ -29,13 +29,15 @@ pipeline:
   exporters: [{type: step}]
   renderers: []
 """
+SMOOTH = "pipeline.integrator={type: poisson, refinement: 0}"
 LENSES = {
     "cut along eye rays": (ONE_EYE, []),
+    "of smooth lenslets": (ONE_EYE, [SMOOTH]),
     "cut vertically": (ONE_EYE, ["lens.cells=vertical"]),
     "with wide walls": (ONE_EYE, ["lens.wall=20um"]),
     "with a rim for two eyes": (TWO_EYES, ["lens.microfacets=16"]),
     "of one facet": (ONE_EYE, ["lens.facets=1", "lens.size=3mm", "lens.wall=10um"]),
-    "of few micro-facets": (ONE_EYE, ["lens.microfacets=2", "pipeline.exporters=[{type: step, departure: 1mm}]"]),
+    "of few micro-facets": (ONE_EYE, ["lens.microfacets=2"]),
 }
 Maker = Callable[[str], Run]
 Writer = Callable[[Step, Solid], Path]
@@ -62,6 +64,12 @@ def run(made: Maker) -> Run:
 
 
 @pytest.fixture
+def smooth(made: Maker) -> Run:
+    """A lens whose facets are the lenslets that free-form refinement starts from."""
+    return made("of smooth lenslets")
+
+
+@pytest.fixture
 def write(run: Run, tmp_path: Path) -> Writer:
     """Writes a solid with the lens and the pictures of that run."""
 
@@ -75,11 +83,27 @@ def write(run: Run, tmp_path: Path) -> Writer:
 
 def facet_vertices(run: Run, inside: int = 0) -> FloatArray:
     """(V, 3) some vertices of facets, so many micro-facets away from their edges."""
-    solid, n, k = run.data.solid, run.data.scene.lens.facets, run.data.scene.lens.microfacets + 1
+    grid = facet_grids(run.data.solid, run)
+    within = slice(inside, grid.shape[1] - inside)
+    return some(grid[:, within, :, within])
+
+
+def middles(solid: Solid, run: Run) -> FloatArray:
+    """(V, 3) middles of some micro-facets, each on the edge between its two triangles."""
+    grid = facet_grids(solid, run)
+    return some((grid[:, :-1, :, :-1] + grid[:, 1:, :, 1:]) / 2)
+
+
+def facet_grids(solid: Solid, run: Run) -> FloatArray:
+    """(N, m + 1, N, m + 1, 3) the facets' vertices."""
+    n, k = run.data.scene.lens.facets, run.data.scene.lens.microfacets + 1
     assert solid.grid
-    grid = solid.vertices[: solid.grid[0] ** 2].reshape(*solid.grid, 3)[1:-1, 1:-1].reshape(n, k, n, k, 3)
-    within = slice(inside, k - inside)
-    return np.random.default_rng(3).choice(grid[:, within, :, within].reshape(-1, 3), 60)
+    return solid.vertices[: solid.grid[0] ** 2].reshape(*solid.grid, 3)[1:-1, 1:-1].reshape(n, k, n, k, 3)
+
+
+def some(points: FloatArray) -> FloatArray:
+    """(60, 3) of many."""
+    return np.random.default_rng(3).choice(points.reshape(-1, 3), 60)
 
 
 def cube(side_mm: float = 1.0, faces: int = 12) -> Solid:
@@ -158,7 +182,7 @@ def test_the_run_records_the_plugin_and_its_file(run: Run) -> None:
     assert "lens.step" in [artifact["path"] for artifact in run.manifest["artifacts"]]
     stage = next(stage for stage in run.manifest["stages"] if stage["kind"] == "exporter")
     assert (stage["type"], stage["plugin"].split()[0]) == ("step", "mlens-step")
-    assert stage["options"] == {"surface": "splines", "tolerance": "0.0001mm", "departure": "0.05mm"}
+    assert stage["options"] == {"surface": "splines", "tolerance": "0.0001mm", "departure": "100%"}
 
 
 @pytest.mark.parametrize("surface", ["splines", "triangles"])
@@ -170,25 +194,71 @@ def test_equal_lenses_give_equal_bytes(surface: str, run: Run, write: Writer) ->
     assert write(exporter, replace(solid, vertices=solid.vertices * 1.01)).read_bytes() != first
 
 
-def test_tolerance_buys_control_points(run: Run, write: Writer) -> None:
+def test_tolerance_buys_control_points_of_smooth_lenslets(smooth: Run, write: Writer) -> None:
     sizes, misses = [], []
     for tolerance_mm in (1e-2, 1e-4, 0.0):
-        path = write(Step(tolerance=f"{tolerance_mm}mm"), run.data.solid)
+        path = write(Step(tolerance=f"{tolerance_mm}mm"), smooth.data.solid)
         sizes.append(path.stat().st_size)
-        misses.append(read(path).distances_mm(facet_vertices(run)).max())
+        misses.append(read(path).distances_mm(facet_vertices(smooth)).max())
         assert misses[-1] <= tolerance_mm + 1e-7
     assert sizes == sorted(set(sizes))
     assert misses[0] > 1e-4 > misses[1] > misses[2]
 
 
-def test_the_header_says_how_far_from_the_mesh_the_facets_are_and_neither_when_nor_where(run: Run) -> None:
-    header = (run.folder / "lens.step").read_text().split("ENDSEC;")[0]
+def test_free_form_facets_have_a_knot_at_every_vertex_and_smooth_ones_a_few(run: Run, smooth: Run) -> None:
+    knots = [most_knots(each.folder / "lens.step") for each in (run, smooth)]
+    assert knots[0] == run.data.scene.lens.microfacets + 1
+    assert knots[1] < knots[0] / 3
+
+
+def most_knots(path: Path) -> int:
+    """How many different knots the finest B-spline surface has along one direction."""
+    found = re.findall(r"B_SPLINE_SURFACE_WITH_KNOTS.*?,\(([\d.,]+)\),\(([\d.,]+)\),.UNSPECIFIED.\);", path.read_text())
+    return max(len(knots.split(",")) for pair in found for knots in pair)
+
+
+@pytest.mark.parametrize("lens", [name for name in LENSES if name != "of few micro-facets"])
+def test_facets_stay_near_their_micro_facets_between_vertices(lens: str, made: Maker) -> None:
+    run = made(lens)
+    microfacet_mm = run.data.scene.lens.pitch_mm / run.data.scene.lens.microfacets
+    away_mm = read(run.folder / "lens.step").distances_mm(middles(run.data.solid, run))
+    assert away_mm.max() <= departure_mm(run.folder / "lens.step") < microfacet_mm
+    assert np.median(away_mm) < microfacet_mm / 10
+
+
+def test_uneven_vertices_are_passed_through_without_swinging_out_between_them(run: Run, write: Writer) -> None:
+    mesh, uneven_mm = run.data.solid, 0.02
+    assert mesh.grid
+    vertices = mesh.vertices.copy()
+    inner = vertices[: mesh.grid[0] ** 2].reshape(*mesh.grid, 3)[2:-2, 2:-2]
+    inner[..., 2] += np.random.default_rng(5).uniform(-uneven_mm, uneven_mm, inner.shape[:2])
+    rough = replace(mesh, vertices=vertices)
+    path = write(Step(), rough)
+    body = read(path)
+    assert body.valid
+    assert body.distances_mm(some(facet_grids(rough, run))).max() < 1e-7
+    assert (
+        body.distances_mm(middles(rough, run)).max()
+        <= departure_mm(path)
+        < departure_mm(run.folder / "lens.step") + 3 * uneven_mm
+    )
+
+
+def departure_mm(path: Path) -> float:
+    """How far facets leave their micro-facets, as the header says."""
+    found = re.search(r"([\d.]+)um of its micro-facets", path.read_text())
+    assert found
+    return float(found[1]) * 1e-3
+
+
+def test_the_header_says_how_far_from_the_mesh_the_facets_are_and_neither_when_nor_where(smooth: Run) -> None:
+    header = (smooth.folder / "lens.step").read_text().split("ENDSEC;")[0]
     assert "18 x 18 mm, index of refraction 1.49" in header
     found = re.search(r"facets within ([\d.]+)um of the mesh''s vertices, ([\d.]+)um of its micro-facets", header)
     assert found
     assert 0.001 < float(found[1]) <= 0.1 < float(found[2]) < 5
     assert re.findall(r"'\d{4}-.*?'", header) == ["'1980-01-01T00:00:00'"]
-    assert str(run.folder) not in header
+    assert str(smooth.folder) not in header
 
 
 def test_triangles_are_the_mesh_itself(made: Maker, tmp_path: Path) -> None:
@@ -264,7 +334,7 @@ def test_a_surface_too_far_from_its_micro_facets_names_the_facet_and_what_would_
     vertices = mesh.vertices.copy()
     assert mesh.grid
     inside = 1 + 2 * 25 + 12, 1 + 4 * 25 + 12
-    vertices[inside[0] * mesh.grid[1] + inside[1], 2] += 0.4
+    vertices[inside[0] * mesh.grid[1] + inside[1], 2] += 0.8
     rough = replace(mesh, vertices=vertices)
     with pytest.raises(
         InputError, match=r"departure: .*facet row 2, column 4 .*'departure: [\d.]+um' allows it"

@@ -7,14 +7,15 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from magiclens import Exporter, Length, Scene, Solid
+from magiclens import Exporter, Length, LengthOrPercent, Scene, Solid, relative
 
 
 class Step(Exporter):
     """A solid in millimetres for CAD programs: every facet one smooth face, all edges shared, one closed shell.
 
-    Facets become bicubic B-splines through the vertices of the mesh, of as few control points as the tolerance allows;
-    walls and sides that are not flat become ruled faces between the facets' edges.
+    Facets become bicubic B-splines through the vertices of the mesh, of as few control points as the tolerance allows,
+    or with a knot at every vertex if they are free-form; walls and sides that are not flat become ruled faces between
+    the facets' edges.
     """
 
     type: ClassVar[str] = "step"
@@ -26,11 +27,10 @@ class Step(Exporter):
     tolerance: Length = Field(
         "0.1um", validate_default=True, ge=0, description="`splines` only: how far a vertex of the mesh may be off"
     )
-    departure: Length = Field(
-        "50um",
-        validate_default=True,
-        gt=0,
-        description="`splines` only: how far the smooth surface may leave the micro-facets between their vertices",
+    departure: LengthOrPercent = Field(
+        relative("100%"),
+        description="`splines` only: how far the smooth surface may leave the micro-facets between their vertices, "
+        "of a micro-facet's width",
     )
 
     def export(self, scene: Scene, solid: Solid, path: Path) -> None:
@@ -49,7 +49,8 @@ class Step(Exporter):
             how = "the mesh's triangles"
         else:
             slab = slab_of(lens, solid)
-            net = smooth_net(slab.top, lens.facets, slab.rim, self.tolerance, self.departure)
+            departure_mm = self.departure.mm(lens.pitch_mm / lens.microfacets)
+            net = smooth_net(slab.top, lens.facets, slab.rim, self.tolerance, departure_mm)
             how = f"facets within {um(net.miss_mm)} of the mesh's vertices, {um(net.departure_mm)} of its micro-facets"
         with path.open("w", encoding="ascii", newline="\n") as text:
             file = Part21(text, path.name, f"{name}; {how}")

@@ -3,6 +3,9 @@
 Facets are (m + 1) x (m + 1) vertices, walls the strips between them. Along each axis, the same linear map takes the
 m + 1 lines of every facet to c lines of control points, and keeps its first and last line. So facets and walls go on
 meeting in the same curves, and the whole grid of control points is laid out as the grid of vertices was.
+
+Smooth lenslets need few control points, fitted by least squares. Free-form facets need a knot at every vertex: with
+fewer, surfaces would miss vertices or swing far out between them.
 """
 
 from __future__ import annotations
@@ -10,11 +13,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import BSpline
+from scipy.interpolate import BSpline, make_interp_spline
 
 from magiclens import FloatArray, InputError
 
 CUBIC = 3
+MOST_FITTED = 2 / 3
+"""Spans between control points that are fitted, per micro-facet: with nearly as many, unevenness of the vertices would
+come out up to 80 times as large between them."""
 MICROMETRE = 1e-3
 
 
@@ -68,38 +74,57 @@ def breaks(facets: int, lines: int, rim: int) -> list[int]:
 def smooth_net(vertices: FloatArray, facets: int, rim: int, tolerance_mm: float, departure_mm: float) -> Net:
     """The net of fewest control points whose surface misses no vertex by more than the tolerance.
 
-    vertices: (G, G, 3), rows from +y down, ``rim`` (0 or 1) lines around the facets' own. Splines have as many spans
-    as they need; with as many control points as vertices they miss none. Raises InputError naming the facet that the
-    surface leaves by most, if that is more than ``departure_mm``.
+    vertices: (G, G, 3), rows from +y down, ``rim`` (0 or 1) lines around the facets' own. If no few control points do,
+    the surface passes through all vertices. Raises InputError naming the facet that the surface leaves by most, if that
+    is more than ``departure_mm``.
     """
     m = (len(vertices) - 2 * rim) // facets - 1
-    for width in range(degree(m), m + 1):
+    for width in _widths(m):
         points = _along_both(vertices, facets, _fit(m, width))
         miss_mm = _length(_along_both(points, facets, _values(width, np.arange(m + 1) / m)) - vertices).max()
         if miss_mm <= tolerance_mm:
             break
-    inner = slice(rim, len(vertices) - rim), slice(rim, len(vertices) - rim)
-    departures = _departures(vertices[inner], points[rim : len(points) - rim, rim : len(points) - rim], facets)
+    inner, controls = (slice(rim, len(grid) - rim) for grid in (vertices, points))
+    departures = _departures(vertices[inner, inner], points[controls, controls], facets)
+    _check(departures, departure_mm)
+    return Net(points, breaks(facets, width + 1, rim), float(miss_mm), float(departures.max()))
+
+
+def _check(departures: FloatArray, departure_mm: float) -> None:
+    """Raises InputError if a facet's surface leaves its micro-facets by more than that."""
     row, column = np.unravel_index(departures.argmax(), departures.shape)
-    worst_mm = float(departures[row, column])
-    if worst_mm > departure_mm:
+    worst = um(float(departures[row, column]))
+    if departures[row, column] > departure_mm:
         raise InputError(
             f"a smooth surface through the vertices of facet row {row}, column {column} leaves its micro-facets by "
-            f"{um(worst_mm)}, more than {um(departure_mm)}; more lens.microfacets bring them together, "
-            f"'departure: {um(worst_mm)}' allows it, 'surface: triangles' writes the micro-facets",
+            f"{worst}, more than {um(departure_mm)}; more lens.microfacets bring them together, "
+            f"'departure: {worst}' allows it, 'surface: triangles' writes the micro-facets",
             "exporter step: departure",
         )
-    return Net(points, breaks(facets, width + 1, rim), float(miss_mm), worst_mm)
+
+
+def _widths(m: int) -> list[int]:
+    """How many control points but one may stand for m + 1 vertices: few fitted ones, or a spline's through them all."""
+    fewest = degree(m)
+    return [*range(fewest, max(fewest, int(MOST_FITTED * m)) + 1), m + CUBIC - 1]
 
 
 def _fit(m: int, width: int) -> FloatArray:
     """(width + 1, m + 1): from equidistant points to the control points that fit them best and keep both ends."""
+    if width > m:
+        return _interpolation(m)
     basis = _values(width, np.arange(m + 1) / m)
     fit = np.zeros((width + 1, m + 1))
     fit[0, 0] = fit[-1, -1] = 1.0
     rest = np.eye(m + 1)[1:-1] - basis[1:-1, [0, -1]] @ fit[[0, -1]]
     fit[1:-1] = np.linalg.pinv(basis[1:-1, 1:-1]) @ rest
     return fit
+
+
+def _interpolation(m: int) -> FloatArray:
+    """(m + 3, m + 1): from equidistant points to the natural cubic through them, with a knot at each."""
+    controls: FloatArray = make_interp_spline(np.arange(m + 1.0), np.eye(m + 1), CUBIC, bc_type="natural").c
+    return controls
 
 
 def _values(width: int, where: FloatArray) -> FloatArray:
