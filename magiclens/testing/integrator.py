@@ -10,6 +10,7 @@ import pytest
 
 from magiclens.artifacts import FloatArray, HeightField, Scene
 from magiclens.checks import BadArtifact, check_height_field
+from magiclens.integration.measures import slopes_deg
 from magiclens.meshing.solid import solid_from_heights
 from magiclens.stages import Integrator, Progress
 from magiclens.testing.scenes import an_assignment, ramps
@@ -105,12 +106,7 @@ def _assert_not_steep(scene: Scene, built: HeightField) -> None:
 
 
 def _steepest_deg(built: HeightField) -> float:
-    points = built.facet_points_mm()
-    along = points[:, :, :-1, 1:] - points[:, :, :-1, :-1]
-    down = points[:, :, 1:, :-1] - points[:, :, :-1, :-1]
-    normals = np.cross(down, along)
-    upright = np.abs(normals[..., 2]) / np.linalg.norm(normals, axis=-1)
-    return float(np.degrees(np.arccos(np.clip(upright, 0, 1))).max())
+    return float(slopes_deg(built.facet_points_mm()).max())
 
 
 def _seen_mm(scene: Scene, built: HeightField) -> FloatArray:
