@@ -248,9 +248,13 @@ class Building(Poisson):
         return replace(built, heights_mm=type(self).spoil(built.heights_mm))
 
 
-def integrator(spoil: Callable[[FloatArray], FloatArray]) -> Building:
-    cls = type("Spoilt", (Building,), {"spoil": staticmethod(spoil), "__module__": __name__})
-    return cls()  # type: ignore[no-any-return]
+def spoilt(cls: type[Poisson], spoil: Callable[[FloatArray], FloatArray], **options: int) -> Poisson:
+    made = type("Spoilt", (cls,), {"spoil": staticmethod(spoil), "__module__": __name__})
+    return made(**options)  # type: ignore[no-any-return]
+
+
+def integrator(spoil: Callable[[FloatArray], FloatArray]) -> Poisson:
+    return spoilt(Building, spoil)
 
 
 @must_fail("its_artifact_is_valid")
@@ -283,9 +287,8 @@ class Refining(Poisson):
         return replace(refined, heights_mm=type(self).spoil(refined.heights_mm))
 
 
-def refiner(spoil: Callable[[FloatArray], FloatArray]) -> Refining:
-    cls = type("Spoilt", (Refining,), {"spoil": staticmethod(spoil), "__module__": __name__})
-    return cls(refinement=1)  # type: ignore[no-any-return]
+def refiner(spoil: Callable[[FloatArray], FloatArray]) -> Poisson:
+    return spoilt(Refining, spoil, refinement=1)
 
 
 @must_fail("refining_keeps_the_limits")

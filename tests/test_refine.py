@@ -262,7 +262,7 @@ def test_views_of_one_eye_share_its_rays_and_equal_sources_are_kept_once() -> No
         for turn, (x, y) in poses.items()
     ]
     scene = over_blotches(Scene(one_view().lens, tuple(views)))
-    sights = _sights(scene, 12, 0.0)
+    sights = _sights(scene, 12)
     assert sights.eyes_mm[:, :2].tolist() == [[0, 5], [3, 4], [4, -3]]
     assert sights.first.tolist() == [0, 2, 3, 4]
     assert sights.sources.shape == (256, 256, 3)
@@ -283,7 +283,7 @@ class Facet:
         self.heights = built.heights_mm[1, 2].copy()
         self.centre, self.slab = scene.lens.facet_centres_mm()[1, 2], _slab(scene.lens, built.eye_mm)
         self.samples = _samples(scene.lens)
-        self.sights = _sights(self.scene, self.samples.pixels, 0.0)
+        self.sights = _sights(self.scene, self.samples.pixels)
         self.triangles, self.channels = 2 * scene.lens.microfacets**2, len(self.sights.plane)
         self.seen = self.look(self.heights)
 

@@ -90,14 +90,19 @@ class View(NamedTuple):
 
 
 @njit(cache=True)
+def _lift(u, v, height, slab):
+    """The surface point over (u, v)."""
+    if math.isinf(slab.cut_eye[2]):
+        return u, v, slab.depth + height
+    return lift(slab.cut_eye, u, v, height, slab.depth)
+
+
+@njit(cache=True)
 def _land(u, v, height, along_u, along_v, eye, slab):
     """Where the eye's ray through the surface over (u, v), with these slopes, meets the source; and whether it does."""
     cut = slab.cut_eye
-    if math.isinf(cut[2]):
-        x, y, z, nz = u, v, slab.depth + height, 1.0
-    else:
-        x, y, z = lift(cut, u, v, height, slab.depth)
-        nz = 1.0 - (along_u * (u - cut[0]) + along_v * (v - cut[1])) / (cut[2] - slab.depth)
+    x, y, z = _lift(u, v, height, slab)
+    nz = 1.0 - (along_u * (u - cut[0]) + along_v * (v - cut[1])) / (cut[2] - slab.depth)
     q = 1.0 / math.sqrt(along_u * along_u + along_v * along_v + nz * nz)
     sx, sy, there = land(eye, x, y, z, -along_u * q, -along_v * q, nz * q, slab.gap, slab.ior)
     return sx, sy, there and nz * q >= slab.cos_limit
@@ -106,11 +111,7 @@ def _land(u, v, height, along_u, along_v, eye, slab):
 @njit(cache=True)
 def _place(u, v, height, eye, slab):
     """Where on the reference plane the eye sees the surface over (u, v)."""
-    cut = slab.cut_eye
-    if math.isinf(cut[2]):
-        x, y, z = u, v, slab.depth + height
-    else:
-        x, y, z = lift(cut, u, v, height, slab.depth)
+    x, y, z = _lift(u, v, height, slab)
     t = (eye[2] - slab.depth) / (eye[2] - z)
     return eye[0] + (x - eye[0]) * t, eye[1] + (y - eye[1]) * t
 
@@ -288,7 +289,7 @@ def _back(samples, view, residuals, out):
 
 
 @njit(cache=True)
-def _step(view, samples, metric, locked, damping, iterations, out):
+def _step(view, samples, metric, free, damping, iterations, out):
     """out (k, k) = the damped Gauss-Newton step, by preconditioned conjugate gradients."""
     k, cell = len(out), samples.cell_mm
     even = 0.0
@@ -305,12 +306,12 @@ def _step(view, samples, metric, locked, damping, iterations, out):
     forces, changes, seen = np.zeros_like(view.slopes), np.zeros_like(view.slopes), np.zeros_like(view.residuals)
     _back(samples, view, view.residuals, forces)
     _pull(forces, cell, residual)
-    residual *= -locked
+    residual *= -free
     out[:] = 0.0
     old = 1.0
     for n in range(iterations):
         _filtered(residual, metric, inverse, work, smooth)
-        smooth *= locked
+        smooth *= free
         new = (residual * smooth).sum()
         if new <= 1e-18:
             break
@@ -322,7 +323,7 @@ def _step(view, samples, metric, locked, damping, iterations, out):
         _pull(forces, cell, image)
         _filtered(way, metric, stiff, work, smooth)
         image += smooth
-        image *= locked
+        image *= free
         length = new / (way * image).sum()
         out += length * way
         residual -= length * image
@@ -330,10 +331,10 @@ def _step(view, samples, metric, locked, damping, iterations, out):
 
 
 @njit(cache=True, parallel=True)
-def refine_facets(heights, centres, samples, sights, slab, metric, locked, rounds, iterations, enough, errors):
+def refine_facets(heights, centres, samples, sights, slab, metric, free, rounds, iterations, enough, errors):
     """Lower what the facets show amiss, in place, by at most ``rounds`` steps.
 
-    heights: (F, k, k) mm. centres: (F, 2) mm. locked: (k, k), 0 for vertices that stay, 1 for others. iterations: of
+    heights: (F, k, k) mm. centres: (F, 2) mm. free: (k, k), 0 for vertices that stay, 1 for others. iterations: of
     conjugate gradients per step. enough: a step that lowers the error by a smaller share is a facet's last. errors:
     (F, 2) is filled with the mean squared residuals before and after.
     """
@@ -350,7 +351,7 @@ def refine_facets(heights, centres, samples, sights, slab, metric, locked, round
         for _ in range(rounds):
             if not 0.0 < error < np.inf:
                 break
-            _step(views[now], samples, metric, locked, damping, iterations, step)
+            _step(views[now], samples, metric, free, damping, iterations, step)
             trial[:] = heights[f] + step
             less = _look(trial, centres[f], samples, sights, slab, False, rays, light, views[1 - now])
             if less < error:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
@@ -47,13 +48,12 @@ def refine(
     facets = _Facets(scene, built, locked)
     first = facets.descend(0.0, 0, lambda done: progress(0.1 * done))[:, 0]
     for stage, blur in enumerate(BLURS):
-        last = facets.descend(
-            blur, rounds, lambda done, stage=stage: progress(0.1 + 0.9 * (stage + done) / len(BLURS))  # type: ignore[misc]
-        )[:, 1]
+        last = facets.descend(blur, rounds, partial(_tell, progress, stage))[:, 1]
     worse = ~(last < first) | (np.abs(facets.heights).max(axis=(1, 2)) > scene.lens.relief_mm)
     given = built.heights_mm.reshape(facets.heights.shape)
     heights = np.where(worse[:, None, None], given, facets.heights).reshape(built.heights_mm.shape)
-    return _measured(replace(built, heights_mm=heights), float((~worse).mean()))
+    refined = replace(built, heights_mm=heights)
+    return replace(refined, metrics={**built.metrics, **measures(refined), "facets_refined": float((~worse).mean())})
 
 
 def foreseen(scene: Scene, built: HeightField) -> FloatArray:
@@ -71,17 +71,18 @@ class _Facets:
     def __init__(self, scene: Scene, built: HeightField, locked: bool):
         k, lens = scene.lens.microfacets + 1, scene.lens
         matrix, eigenvalues = cosines(k)
-        self._scene, self._samples, self._slab = scene, _samples(lens), _slab(lens, built.eye_mm)
+        self._samples, self._slab = _samples(lens), _slab(lens, built.eye_mm)
+        self._sights = _sights(scene, self._samples.pixels)
         self._metric = Metric(np.ascontiguousarray(matrix), eigenvalues / self._samples.cell_mm**2)
         self._free = np.ones((k, k))
         if locked:
             self._free[[0, -1], :] = self._free[:, [0, -1]] = 0.0
-        self._centres = lens.facet_centres_mm().reshape(-1, 2)
+        self._pitch_mm, self._centres = lens.pitch_mm, lens.facet_centres_mm().reshape(-1, 2)
         self.heights = built.heights_mm.reshape(-1, k, k).copy()
 
     def descend(self, blur: float, rounds: int, progress: Callable[[float], None]) -> FloatArray:
         """(F, 2) errors before and after at most so many steps with sources blurred by this share of a facet."""
-        sights = _sights(self._scene, self._samples.pixels, blur * self._scene.lens.pitch_mm)
+        sights = _blurred(self._sights, blur * self._pitch_mm)
         errors = np.zeros((len(self.heights), 2))
         for first in range(0, len(errors), AT_ONCE):
             part = slice(first, first + AT_ONCE)
@@ -93,8 +94,8 @@ class _Facets:
         return errors
 
 
-def _measured(refined: HeightField, share: float) -> HeightField:
-    return replace(refined, metrics={**refined.metrics, **measures(refined), "facets_refined": share})
+def _tell(progress: Callable[[float], None], stage: int, done: float) -> None:
+    progress(0.1 + 0.9 * (stage + done) / len(BLURS))
 
 
 def _samples(lens: Lens) -> Samples:
@@ -123,12 +124,11 @@ def _slab(lens: Lens, cut_eye: FloatArray | None) -> Slab:
     )
 
 
-def _sights(scene: Scene, pixels: int, blur_mm: float) -> Sights:
-    """Views side by side that share an eye in the lens frame, their sources blurred; equal sources are kept once."""
+def _sights(scene: Scene, pixels: int) -> Sights:
+    """Views side by side that share an eye in the lens frame; equal sources are kept once."""
     lens, given = scene.lens, sorted(scene.views, key=lambda view: tuple(view.in_lens_frame().eye_mm.round(6)))
     views = [view.in_lens_frame() for view in given]
     colours, side = views[0].source.shape[2], max(len(view.source) for view in views)
-    sigma = blur_mm * side / lens.source_size_mm
     names = [(view.source_name, view.quarter_turns) for view in given]
     sources = {name: resize(view.source, (side, side)) for name, view in zip(names, views, strict=True)}
     places = {name: k * colours for k, name in enumerate(sources)}
@@ -138,9 +138,14 @@ def _sights(scene: Scene, pixels: int, blur_mm: float) -> Sights:
         eyes,
         np.append(first, len(views)) * colours,
         np.concatenate([places[name] + np.arange(colours) for name in names]),
-        np.concatenate([gaussian_filter(s, (sigma, sigma, 0), mode="constant") for s in sources.values()], axis=-1),
+        np.concatenate(list(sources.values()), axis=-1),
         lens.source_size_mm,
         to_display(np.concatenate(targets)),
         lens.size_mm,
         to_display(np.linspace(0, 1, DISPLAY, dtype=np.float32)),
     )
+
+
+def _blurred(sights: Sights, blur_mm: float) -> Sights:
+    sigma = blur_mm * len(sights.sources) / sights.source_mm
+    return sights._replace(sources=gaussian_filter(sights.sources, (sigma, sigma, 0), mode="constant"))
