@@ -14,8 +14,8 @@ from pydantic import ValidationError
 
 from magiclens.artifacts import Assignment, FloatArray, HeightField, Scene, View
 from magiclens.images import resize, to_display
-from magiclens.integration.freeform import Metric, _along, _back, _filtered, _look, _pull, _slopes
 from magiclens.integration.freeform import View as Seen
+from magiclens.integration.freeform import _along, _back, _field, _look, _pull, _slopes, _spectrum
 from magiclens.integration.measures import measures, slopes_deg
 from magiclens.integration.poisson import Poisson
 from magiclens.integration.refine import _samples, _sights, _slab, foreseen
@@ -341,14 +341,16 @@ def test_forces_are_pulled_back_the_way_that_changes_go(make: Callable[[], Scene
     assert (back * forces).sum() == pytest.approx((residuals * facet.along(forces)).sum(), rel=1e-3)
 
 
-def test_a_filter_of_ones_changes_nothing_and_the_laplacians_is_the_laplacian() -> None:
+def test_a_spectrum_has_its_field_and_eigenvalues_of_the_laplacian() -> None:
     """The metric's eigenvalues belong to its cosines: squared differences along both axes."""
     h, k = np.random.default_rng(RNG).normal(size=(9, 9)), 9
     matrix, eigenvalues = cosines(k)
-    metric, work, out = Metric(np.ascontiguousarray(matrix), eigenvalues), np.zeros((k, k)), np.zeros((k, k))
-    _filtered(h, metric, np.ones((k, k)), work, out)
+    matrix = np.ascontiguousarray(matrix)
+    spectrum, work, out = np.zeros((k, k)), np.zeros((k, k)), np.zeros((k, k))
+    _spectrum(h, matrix, work, spectrum)
+    _field(spectrum, matrix, work, out)
     np.testing.assert_allclose(out, h, atol=1e-12)
-    _filtered(h, metric, metric.laplacian, work, out)
+    _field(eigenvalues * spectrum, matrix, work, out)
     assert (h * out).sum() == pytest.approx((np.diff(h, axis=0) ** 2).sum() + (np.diff(h, axis=1) ** 2).sum())
 
 

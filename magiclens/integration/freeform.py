@@ -49,7 +49,7 @@ class Sights(NamedTuple):
     """What the eyes see and should see; lens frame, mm.
 
     eyes_mm: (E, 3). first: (E + 1,), eye e has the channels first[e] to first[e + 1] - 1. plane: (C,), the channel's
-    source among sources (H, W, planes), linear light, which covers a square of the side source_mm. targets: (C, R, R),
+    source among sources (H, W, planes), linear light, which covers a square of the side source_mm. targets: (R, R, C),
     display values, over the lens's square of the side size_mm. display: display values of evenly spaced linear light.
     """
 
@@ -199,18 +199,21 @@ def _gather(samples, rays, sights, e, light, gradients):
 
 
 @njit(cache=True)
-def _wish(targets, c, px, py, size):
-    """Channel c of the targets at a place, between pixels; negative beyond the lens's square."""
-    rows = targets.shape[1]
-    column, row = (px / size + 0.5) * rows - 0.5, (0.5 - py / size) * rows - 0.5
+def _wish(sights, e, px, py, out):
+    """out (C,) = the targets of eye e at a place, between pixels; False beyond the lens's square."""
+    targets = sights.targets
+    rows = len(targets)
+    column, row = (px / sights.size_mm + 0.5) * rows - 0.5, (0.5 - py / sights.size_mm) * rows - 0.5
     if not (-0.5 <= column <= rows - 0.5 and -0.5 <= row <= rows - 0.5):
-        return -1.0
+        return False
     column, row = min(max(column, 0.0), rows - 1.0), min(max(row, 0.0), rows - 1.0)
     i, j = min(int(row), rows - 2), min(int(column), rows - 2)
-    a, b = row - i, column - j
-    top = targets[c, i, j] * (1 - b) + targets[c, i, j + 1] * b
-    low = targets[c, i + 1, j] * (1 - b) + targets[c, i + 1, j + 1] * b
-    return top * (1 - a) + low * a
+    a, b = np.float32(row - i), np.float32(column - j)
+    for c in range(sights.first[e], sights.first[e + 1]):
+        top = targets[i, j, c] + (targets[i, j + 1, c] - targets[i, j, c]) * b
+        low = targets[i + 1, j, c] + (targets[i + 1, j + 1, c] - targets[i + 1, j, c]) * b
+        out[c] = top + (low - top) * a
+    return True
 
 
 @njit(cache=True)
@@ -233,15 +236,15 @@ def _look(heights, centre, samples, sights, slab, derive, rays, light, view):
             h = heights[int(down), int(right)]
             u, v = centre[0] + (right - 0.5 * m) * cell, centre[1] + (0.5 * m - down) * cell
             px, py = _place(u, v, h, eye, slab)
+            seen = _wish(sights, e, px, py, residuals[p])
             for c in range(sights.first[e], sights.first[e + 1]):
-                wish = _wish(sights.targets, c, px, py, sights.size_mm)
                 at = min(int(light[p, c] * each * last + 0.5), last)
-                residuals[p, c] = sights.display[at] - wish if wish >= 0.0 else 0.0
+                residuals[p, c] = sights.display[at] - residuals[p, c] if seen else 0.0
                 lo, hi = max(at - LIGHT_STEP, 0), min(at + LIGHT_STEP, last)
                 slope = (sights.display[hi] - sights.display[lo]) * last / (hi - lo)
-                light[p, c] = slope * each if wish >= 0.0 else 0.0
+                light[p, c] = slope * each if seen else 0.0
                 total += residuals[p, c] ** 2
-                count += wish >= 0.0
+                count += seen
     for k in range(len(gradients)):
         for c in range(gradients.shape[2]):
             scale = light[samples.pair_pixel[k], c]
@@ -251,16 +254,17 @@ def _look(heights, centre, samples, sights, slab, derive, rays, light, view):
 
 
 @njit(cache=True)
-def _filtered(field, metric, spectrum, work, out):
-    """out (k, k) = the field with its cosine spectrum multiplied by ``spectrum``."""
-    c = metric.cosines
-    np.dot(c, field, work)
-    np.dot(work, c.T, out)
-    for i in range(len(c)):
-        for j in range(len(c)):
-            out[i, j] *= spectrum[i, j]
-    np.dot(c.T, out, work)
-    np.dot(work, c, out)
+def _spectrum(field, cosines, work, out):
+    """out (k, k) = the cosine transform of a field (k, k)."""
+    np.dot(cosines, field, work)
+    np.dot(work, cosines.T, out)
+
+
+@njit(cache=True)
+def _field(spectrum, cosines, work, out):
+    """out (k, k): the inverse, and transpose, of ``_spectrum``."""
+    np.dot(cosines.T, spectrum, work)
+    np.dot(work, cosines, out)
 
 
 @njit(cache=True, fastmath={"contract", "reassoc", "arcp"})
@@ -290,7 +294,7 @@ def _back(samples, view, residuals, out):
 
 @njit(cache=True)
 def _step(view, samples, metric, free, damping, iterations, out):
-    """out (k, k) = the damped Gauss-Newton step, by preconditioned conjugate gradients."""
+    """out (k, k) = the damped Gauss-Newton step, by preconditioned conjugate gradients on its cosine spectrum."""
     k, cell = len(out), samples.cell_mm
     even = 0.0
     for n in range(len(view.gradients)):
@@ -300,34 +304,35 @@ def _step(view, samples, metric, free, damping, iterations, out):
     laplacian = even * metric.laplacian
     stiff = damping * (laplacian + even * FLATNESS)
     inverse = 1.0 / (stiff + 0.3 * laplacian)
-    residual, smooth, way, image, work = (
-        np.zeros((k, k)), np.zeros((k, k)), np.zeros((k, k)), np.zeros((k, k)), np.zeros((k, k))
-    )  # fmt: skip
+    residual, way, image, total = np.zeros((k, k)), np.zeros((k, k)), np.zeros((k, k)), np.zeros((k, k))
+    field, work = np.zeros((k, k)), np.zeros((k, k))
     forces, changes, seen = np.zeros_like(view.slopes), np.zeros_like(view.slopes), np.zeros_like(view.residuals)
     _back(samples, view, view.residuals, forces)
-    _pull(forces, cell, residual)
-    residual *= -free
-    out[:] = 0.0
+    _pull(forces, cell, field)
+    field *= -free
+    _spectrum(field, metric.cosines, work, residual)
     old = 1.0
     for n in range(iterations):
-        _filtered(residual, metric, inverse, work, smooth)
-        smooth *= free
-        new = (residual * smooth).sum()
+        new = (residual * inverse * residual).sum()
         if new <= 1e-18:
             break
         way *= new / old if n else 0.0
-        way += smooth
-        _slopes(way, cell, changes)
+        way += inverse * residual
+        _field(way, metric.cosines, work, field)
+        field *= free
+        _slopes(field, cell, changes)
         _along(samples, view, changes, seen)
         _back(samples, view, seen, forces)
-        _pull(forces, cell, image)
-        _filtered(way, metric, stiff, work, smooth)
-        image += smooth
-        image *= free
+        _pull(forces, cell, field)
+        field *= free
+        _spectrum(field, metric.cosines, work, image)
+        image += stiff * way
         length = new / (way * image).sum()
-        out += length * way
+        total += length * way
         residual -= length * image
         old = new
+    _field(total, metric.cosines, work, out)
+    out *= free
 
 
 @njit(cache=True, parallel=True)

@@ -15,7 +15,7 @@ class Poisson(Integrator):
     """Facets become smooth lenslets (one small Poisson problem each), then are raised or lowered until edges meet."""
 
     type: ClassVar[str] = "poisson"
-    version: ClassVar[str] = "2"
+    version: ClassVar[str] = "3"
 
     placement: Literal["light", "steps"] = Field(
         "light", description="facets' heights: least light lost at walls, or least squared steps (4.5)"
@@ -29,7 +29,7 @@ class Poisson(Integrator):
     )
     rounds: int = Field(30, ge=1, description="rounds of orientation and integration, at most")
     refinement: int = Field(
-        12, ge=0, description="steps of free-form refinement, per blur of the sources; 0 leaves facets smooth lenslets"
+        16, ge=0, description="steps of free-form refinement, per blur of the sources; 0 leaves facets smooth lenslets"
     )
     tolerance: float = Field(1e-5, gt=0, description="stop once no height moves by more than this, mm")
 

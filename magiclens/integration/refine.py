@@ -23,7 +23,7 @@ from magiclens.integration.two_level import cosines
 
 BLURS = (0.08, 0.03, 0.0)
 """Blurs of the sources, one after the other, of a facet's width: rays find their way down a blurred edge from afar."""
-ITERATIONS = 6
+ITERATIONS = 3
 """Of conjugate gradients per step."""
 ENOUGH = 3e-3
 """A step that lowers a facet's error by a smaller share is its last."""
@@ -133,14 +133,14 @@ def _sights(scene: Scene, pixels: int) -> Sights:
     sources = {name: resize(view.source, (side, side)) for name, view in zip(names, views, strict=True)}
     places = {name: k * colours for k, name in enumerate(sources)}
     eyes, first = np.unique([view.eye_mm.round(6) for view in views], axis=0, return_index=True)
-    targets = [np.moveaxis(resize(view.target, (lens.facets * pixels,) * 2), -1, 0) for view in views]
+    targets = [resize(view.target, (lens.facets * pixels,) * 2) for view in views]
     return Sights(
         eyes,
         np.append(first, len(views)) * colours,
         np.concatenate([places[name] + np.arange(colours) for name in names]),
         np.concatenate(list(sources.values()), axis=-1),
         lens.source_size_mm,
-        to_display(np.concatenate(targets)),
+        to_display(np.concatenate(targets, axis=-1)),
         lens.size_mm,
         to_display(np.linspace(0, 1, DISPLAY, dtype=np.float32)),
     )

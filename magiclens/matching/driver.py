@@ -120,8 +120,9 @@ def finish(
     centres = lens.facet_centres_mm()[rows].reshape(-1, 2) * (1, -1)
     grain = seen_grain(scene)
     widths = (0.0, 0.1, 0.2, 0.35)
+    levels = blur_levels(channels.source, channels.source_px_mm, grain, widths)
     polish(
-        tiles, blur_levels(channels.source, channels.source_px_mm, grain, widths), np.array(widths),
+        _channels_last(tiles), _channels_last(levels), np.array(widths),
         1 / channels.source_px_mm, centres, lens.pitch_mm, window, step, options.polish, 10, options.maps == "scale",
         *optics(scene), pool.errors, pool.offsets, pool.maps,
     )
@@ -132,6 +133,10 @@ def finish(
     )
     pool.drop(options.acceptance)
     pool.sort()
+
+
+def _channels_last(images: FloatArray) -> FloatArray:
+    return np.ascontiguousarray(np.moveaxis(images, -3, -1))
 
 
 def unreached(pool: Pool, lens: Lens, first_row: int = 0) -> None:

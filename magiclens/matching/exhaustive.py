@@ -16,6 +16,7 @@ class Exhaustive(Matcher):
     """Exact search over offsets and axis-aligned maps, pruned by a lower bound; best per bucket; polished."""
 
     type: ClassVar[str] = "exhaustive"
+    version: ClassVar[str] = "2"
 
     window: LengthOrPercent = Field(relative("10%"), description="side of the search window, of the source's width")
     scales: tuple[float, ...] = Field(

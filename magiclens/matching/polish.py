@@ -59,36 +59,66 @@ def sample(image, x, y):
 
 
 @njit(cache=True, fastmath=True)
-def _normal_equations(tile, levels, widths, per_mm, cx, cy, px, p, jtj, jtr, derive):
-    """Mean squared difference of parameters p; J^T J and J^T r of the residuals too if ``derive``."""
-    channels, pixels, _ = tile.shape
+def _normal_equations(tile, levels, widths, per_mm, cx, cy, px, p, jtj, jtr):
+    """Mean squared difference of parameters p; fills J^T J (its lower half) and J^T r of the residuals.
+
+    A residual's derivatives are the source's slopes (gx, gy), times u and v for the map: sums over gx^2, gx gy, gy^2
+    and gx r, gy r, weighted by powers of u along a row, have all of them.
+    """
+    pixels, _, channels = tile.shape
     seen = px * math.sqrt(abs(p[2] * p[4] - p[3] * p[3]))
     level = 0
     while level + 1 < len(widths) and widths[level + 1] < 1.4 * seen:
         level += 1
-    half_w, half_h = 0.5 * levels.shape[3] - 0.5, 0.5 * levels.shape[2] - 0.5
-    j = np.zeros(PARAMETERS, np.float32)
-    if derive:
-        jtj[:] = 0.0
-        jtr[:] = 0.0
-    total = np.float32(0.0)
+    image = levels[level]
+    rows, columns = image.shape[0], image.shape[1]
+    half_w, half_h = 0.5 * columns - 0.5, 0.5 * rows - 0.5
+    jtj[:], jtr[:], total = 0.0, 0.0, 0.0
     for ky in range(pixels):
         v = (ky - 0.5 * (pixels - 1)) * px
+        xx0 = xx1 = xx2 = xy0 = xy1 = xy2 = yy0 = yy1 = yy2 = xr0 = xr1 = yr0 = yr1 = np.float32(0.0)
         for kx in range(pixels):
             u = (kx - 0.5 * (pixels - 1)) * px
-            x = (cx + p[0] + p[2] * u + p[3] * v) * per_mm + half_w
-            y = (cy + p[1] + p[3] * u + p[4] * v) * per_mm + half_h
+            x = min(max((cx + p[0] + p[2] * u + p[3] * v) * per_mm + half_w, 0.0), columns - 1.001)
+            y = min(max((cy + p[1] + p[3] * u + p[4] * v) * per_mm + half_h, 0.0), rows - 1.001)
+            i, j = int(y), int(x)
+            fx, fy, u = np.float32(x - j), np.float32(y - i), np.float32(u)
+            xx = xy = yy = xr = yr = np.float32(0.0)
             for c in range(channels):
-                s, gx, gy = sample(levels[level, c], x, y)
-                r = s - tile[c, ky, kx]
+                tl, tr, bl, br = image[i, j, c], image[i, j + 1, c], image[i + 1, j, c], image[i + 1, j + 1, c]
+                top, low = tl + (tr - tl) * fx, bl + (br - bl) * fx
+                gx, gy = (tr - tl) + ((br - bl) - (tr - tl)) * fy, low - top
+                r = top + gy * fy - tile[ky, kx, c]
+                xx += gx * gx
+                xy += gx * gy
+                yy += gy * gy
+                xr += gx * r
+                yr += gy * r
                 total += r * r
-                if derive:
-                    j[0], j[1] = gx, gy
-                    j[2], j[3], j[4] = gx * u, gx * v + gy * u, gy * v
-                    for m in range(PARAMETERS):
-                        jtr[m] += j[m] * r
-                        for n in range(m + 1):
-                            jtj[m, n] += j[m] * j[n]
+            xx0, xx1, xx2 = xx0 + xx, xx1 + xx * u, xx2 + xx * u * u
+            xy0, xy1, xy2 = xy0 + xy, xy1 + xy * u, xy2 + xy * u * u
+            yy0, yy1, yy2 = yy0 + yy, yy1 + yy * u, yy2 + yy * u * u
+            xr0, xr1, yr0, yr1 = xr0 + xr, xr1 + xr * u, yr0 + yr, yr1 + yr * u
+        jtr[0] += xr0
+        jtr[1] += yr0
+        jtr[2] += xr1
+        jtr[3] += xr0 * v + yr1
+        jtr[4] += yr0 * v
+        jtj[0, 0] += xx0
+        jtj[1, 0] += xy0
+        jtj[1, 1] += yy0
+        jtj[2, 0] += xx1
+        jtj[2, 1] += xy1
+        jtj[2, 2] += xx2
+        jtj[3, 0] += xx0 * v + xy1
+        jtj[3, 1] += xy0 * v + yy1
+        jtj[3, 2] += xx1 * v + xy2
+        jtj[3, 3] += xx0 * v * v + 2 * xy1 * v + yy2
+        jtj[4, 0] += xy0 * v
+        jtj[4, 1] += yy0 * v
+        jtj[4, 2] += xy1 * v
+        jtj[4, 3] += xy0 * v * v + yy1 * v
+        jtj[4, 4] += yy0 * v * v
     return total / (channels * pixels * pixels)
 
 
@@ -98,7 +128,7 @@ def solve(jtj, jtr, damping, per_mm, isotropic, step):
     n = 3 if isotropic else PARAMETERS
     a = np.zeros((n, n))
     b = np.zeros(n)
-    to = np.array([0, 1, 2, -1, 2]) if isotropic else np.arange(PARAMETERS)
+    to = (0, 1, 2, -1, 2) if isotropic else (0, 1, 2, 3, 4)
     for m in range(PARAMETERS):
         if to[m] < 0:
             continue
@@ -111,9 +141,22 @@ def solve(jtj, jtr, damping, per_mm, isotropic, step):
         trace += a[m, m]
     for m in range(n):
         a[m, m] += damping * a[m, m] + 1e-9 * trace + 1e-9
-    x = np.linalg.solve(a, b)
+    for m in range(n):
+        for k in range(m + 1):
+            rest = a[m, k]
+            for i in range(k):
+                rest -= a[m, i] * a[k, i]
+            a[m, k] = math.sqrt(rest) if k == m else rest / a[k, k]
+    for m in range(n):
+        for i in range(m):
+            b[m] -= a[m, i] * b[i]
+        b[m] /= a[m, m]
+    for m in range(n - 1, -1, -1):
+        for i in range(m + 1, n):
+            b[m] -= a[i, m] * b[i]
+        b[m] /= a[m, m]
     for m in range(PARAMETERS):
-        step[m] = x[to[m]] if to[m] >= 0 else 0.0
+        step[m] = b[to[m]] if to[m] >= 0 else 0.0
 
 
 @njit(cache=True, parallel=True)
@@ -123,15 +166,14 @@ def polish(
 ):
     """Polish the first ``most`` candidates of every facet in place; the arrays are those of ``search.search``.
 
-    tiles: (F, C, P, P) display values. levels: (L, C, H, W), see ``blur_levels``; widths: (L,) mm. All candidates
+    tiles: (F, P, P, C) display values. levels: (L, H, W, C), see ``blur_levels``; widths: (L,) mm. All candidates
     (polished or not) get their error at the sub-pixel position, so that they can be compared.
     """
-    px = pitch / tiles.shape[2]
-    edge = 0.5 * levels.shape[3] / per_mm
+    px = pitch / tiles.shape[1]
+    edge = 0.5 * levels.shape[2] / per_mm
     for f in prange(len(tiles)):
-        jtj = np.zeros((PARAMETERS, PARAMETERS), np.float32)
-        jtr = np.zeros(PARAMETERS, np.float32)
-        step = np.zeros(PARAMETERS)
+        jtj, jtr = np.zeros((2, PARAMETERS, PARAMETERS)), np.zeros((2, PARAMETERS))
+        step, now = np.zeros(PARAMETERS), 0
         p, q = np.zeros(PARAMETERS), np.zeros(PARAMETERS)
         cx, cy = centres[f, 0], centres[f, 1]
         for k in range(errors.shape[1]):
@@ -140,9 +182,9 @@ def polish(
             p[0], p[1] = offsets[f, k, 0], offsets[f, k, 1]
             p[2], p[3], p[4] = maps[f, k, 0], maps[f, k, 1], maps[f, k, 2]
             damping = 1e-2
-            best = _normal_equations(tiles[f], levels, widths, per_mm, cx, cy, px, p, jtj, jtr, k < most)
+            best = _normal_equations(tiles[f], levels, widths, per_mm, cx, cy, px, p, jtj[now], jtr[now])
             for _ in range(iterations if k < most else 0):
-                solve(jtj, jtr, damping, per_mm, isotropic, step)
+                solve(jtj[now], jtr[now], damping, per_mm, isotropic, step)
                 q[:] = p + step
                 spread_x = 0.5 * pitch * (abs(q[2]) + abs(q[3]))
                 spread_y = 0.5 * pitch * (abs(q[3]) + abs(q[4]))
@@ -151,14 +193,15 @@ def polish(
                     and abs(cx + q[0]) + spread_x <= edge and abs(cy + q[1]) + spread_y <= edge
                     and reachable(cx, cy, q[0], q[1], q[2], q[3], q[4], 0.5 * pitch, eye, depth, gap, ior, cos_limit)
                 )
-                trial = np.float32(np.inf)
+                other, trial = 1 - now, np.inf
                 if inside:
-                    trial = _normal_equations(tiles[f], levels, widths, per_mm, cx, cy, px, q, jtj, jtr, False)
+                    trial = _normal_equations(
+                        tiles[f], levels, widths, per_mm, cx, cy, px, q, jtj[other], jtr[other]
+                    )  # fmt: skip
                 if trial < best:
-                    gain = best - trial
+                    gain, best, now = best - trial, trial, other
                     p[:] = q
                     damping *= 0.3
-                    best = _normal_equations(tiles[f], levels, widths, per_mm, cx, cy, px, p, jtj, jtr, True)
                     if gain < 1e-3 * best:
                         break
                 else:

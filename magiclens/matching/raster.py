@@ -139,5 +139,7 @@ def _split(plain, out):
     sy, sx = out.shape[1], out.shape[2]
     for cy in prange(channels * rows):
         c, y = cy // rows, cy % rows
-        for x in range(width):
-            out[c, y % sy, x % sx, y // sy, x // sx] = plain[c, y, x]
+        for phase in range(sx):
+            line, from_ = out[c, y % sy, phase, y // sy], plain[c, y, phase:]
+            for k in range((width - phase + sx - 1) // sx):
+                line[k] = from_[k * sx]
