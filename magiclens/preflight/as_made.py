@@ -11,7 +11,8 @@ import numpy as np
 from magiclens.artifacts import FloatArray, Scene, Solid, View
 from magiclens.fabrication.printed import printed
 from magiclens.images import score, write_png
-from magiclens.profiles.machines import Machine, Printer
+from magiclens.milling.milled import milled
+from magiclens.profiles.machines import Machine, Mill, Printer
 from magiclens.rendering.mitsuba import Mitsuba
 from magiclens.rendering.tracer import Tracer
 
@@ -27,29 +28,30 @@ class AsMade:
     loss_db: float
 
 
-def made_by(machine: Machine, solid: Solid) -> Solid | None:
-    """What a machine makes of a solid; None for machines that are not simulated here."""
-    return printed(solid, machine) if isinstance(machine, Printer) else None
+def made_by(machine: Machine, solid: Solid) -> Solid:
+    """What a machine makes of a solid."""
+    if isinstance(machine, Printer):
+        return printed(solid, machine)
+    assert isinstance(machine, Mill)
+    return milled(solid, machine)
 
 
 def as_made(machine: Machine, scene: Scene, solid: Solid) -> AsMade | None:
-    """Trace the lens as made, and compare it with the lens as designed; None where the machine is not simulated.
+    """Trace the lens as made, and compare it with the lens as designed; None if a finisher has removed its grid.
 
     What the machine's limits cost the design is not in the loss: that lens was never designed. It is the loss of what
-    limits cannot prevent: stairs, spreading, polishing.
+    limits cannot prevent: stairs, spreading, corners that no cutter reaches, polishing.
     """
-    made = made_by(machine, solid)
-    if made is None or solid.grid is None:
+    if solid.grid is None:
         return None
-    pictures = EYE.render(scene, made)
+    pictures = EYE.render(scene, made_by(machine, solid))
     shown_db = _psnr_db(pictures, scene)
     return AsMade(pictures, shown_db, _psnr_db(EYE.render(scene, solid), scene) - shown_db)
 
 
 def rough_pictures(machine: Machine, scene: Scene, solid: Solid) -> list[FloatArray]:
-    """The same path-traced by Mitsuba, with the roughness of the machine's surface; nothing if it is not simulated."""
-    made = made_by(machine, solid)
-    return [] if made is None else Mitsuba(roughness=machine.roughness).render(scene, made)
+    """The same path-traced by Mitsuba, with the roughness of the machine's surface; nothing without a grid."""
+    return [] if solid.grid is None else Mitsuba(roughness=machine.roughness).render(scene, made_by(machine, solid))
 
 
 def write_pictures(pictures: Sequence[FloatArray], views: Sequence[View], folder: Path, name: str) -> None:

@@ -127,7 +127,7 @@ def _as_made(metrics: Mapping[str, float]) -> list[Finding]:
     shown_db, loss_db = metrics["as_made_psnr_db"], metrics["fabrication_loss_db"]
     fine = shown_db >= CLEAR_DB or loss_db <= COSTLY_DB
     status: Status = "green" if fine else "red" if shown_db < POOR_DB else "amber"
-    told = f"as made the picture is {shown_db:.1f} dB from its target; layers and blur cost {loss_db:.1f} dB"
+    told = f"as made the picture is {shown_db:.1f} dB from its target; making it costs {loss_db:.1f} dB"
     return [Finding("as made", status, told)]
 
 

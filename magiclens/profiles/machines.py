@@ -92,6 +92,10 @@ class Mill(Machine):
         "30deg", validate_default=True, gt=0, lt=180, description="between a v cutter's flanks"
     )
     reach: Length = Field(gt=0, description="how deep it gets into a narrow hole before its holder touches")
+    polish: Length = Field(
+        "0.01mm", validate_default=True, ge=0, le=5,
+        description="how far polishing, which takes ridges away, evens the surface out: sigma of a Gaussian",
+    )  # fmt: skip
     spindle: int = Field(12000, ge=1, description="turns per minute")
     feed: str = Field("1200mm/min", pattern=SPEED, description="while cutting")
     plunge: str = Field("300mm/min", pattern=SPEED, description="straight down")

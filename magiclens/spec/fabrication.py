@@ -70,8 +70,6 @@ class Fabrication:
             yield from self._out_of_reach(able, lens)
 
     def _out_of_reach(self, able: Mill, lens: LensSpec) -> Iterator[tuple[str, str]]:
-        if lens.cells != "vertical":
-            yield "cells", f"facets cut along eye rays overhang, which {self.name} cannot reach; use vertical"
         if 2 * lens.relief > able.reach:
             deep, half = LENGTH.text(2 * lens.relief), LENGTH.text(able.reach / 2)
             reach = f"the cutter of {self.name} reaches {LENGTH.text(able.reach)}"

@@ -1,0 +1,79 @@
+"""What a mill makes of a solid: corners that its cutter does not reach, and polishing that evens out."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit, prange
+from scipy.ndimage import distance_transform_edt, gaussian_filter, maximum_filter, minimum_filter
+
+from magiclens.artifacts import FloatArray, Solid
+from magiclens.fabrication.relief import top_relief
+from magiclens.milling.border import outer, top_of
+from magiclens.milling.cutter import Cutter
+from magiclens.milling.outline import distance_at, rise_at
+from magiclens.profiles.machines import Mill
+from magiclens.slab import border, slab
+
+PIXEL_MM, MOST_POINTS = 0.02, 8_000_000
+"""Of the milled surface; on large lenses pixels are larger to stay below."""
+
+
+def milled(solid: Solid, mill: Mill) -> Solid:
+    """The slab that a mill makes of a solid with a grid, whatever its lines: its top sampled evenly, upright.
+
+    Where the cutter does not fit, more stays standing than was designed: the grey-scale closing of the top by the
+    cutter's shape. Polishing, a Gaussian, takes the ridges between lines away and rounds edges.
+    """
+    cutter = Cutter.model_validate(mill.exporters()["gcode"]["cutter"])
+    x0, x1, y0, y1 = outer(solid)
+    pixel = max(PIXEL_MM, math.sqrt((x1 - x0) * (y1 - y0) / MOST_POINTS))
+    x, y = (a + pixel * np.arange(int((b - a) / pixel) + 1) for a, b in ((x0, x1), (y0, y1)))
+    upper = solid.faces[(solid.faces < top_of(solid)[..., 0].size).all(axis=1)]
+    z = top_relief(Solid(solid.vertices, upper), x, y[::-1])
+    beside = np.isnan(z)
+    if beside.any():  # the outline leans with the rays it is cut along
+        z = z[tuple(distance_transform_edt(beside, return_distances=False, return_indices=True))]
+    shape = _shape(z, cutter.outline(), pixel)
+    z = -_dilated(-_dilated(z, shape), shape)
+    if mill.polish > 0:
+        z = gaussian_filter(z, mill.polish / pixel, mode="nearest")
+    top = np.stack([*np.meshgrid(x, y[::-1]), z], axis=-1)
+    return slab(top, top.reshape(-1, 3)[border(*z.shape)] * (1, 1, 0))
+
+
+def _shape(z: FloatArray, outline: FloatArray, pixel: float) -> FloatArray:
+    """(2 n + 1, 2 n + 1) float32: the cutter's height above its tip as far out as it may touch z; inf beyond."""
+    reach = float(outline[5])
+    while True:
+        size = 2 * math.ceil(reach / pixel) + 1
+        rise = float((maximum_filter(z, size) - minimum_filter(z, size)).max())
+        if (nearer := float(distance_at(outline, rise))) >= 0.9 * reach:
+            break
+        reach = nearer
+    n = math.ceil(reach / pixel)
+    distances = pixel * np.hypot(*np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1)))
+    heights = [rise_at(outline, d) if d <= outline[5] else np.inf for d in distances.ravel()]
+    return np.array(heights, np.float32).reshape(distances.shape)
+
+
+@njit(cache=True, parallel=True)
+def _dilated(z, shape):
+    """The highest of z minus the shape, wherever the shape is put."""
+    rows, columns = z.shape
+    n = len(shape) // 2
+    out = np.full_like(z, -np.inf)
+    for each in prange(rows):
+        row = np.int64(each)  # prange counts unsigned
+        line = out[row]
+        for a in range(-n, n + 1):
+            if not 0 <= row + a < rows:
+                continue
+            for b in range(-n, n + 1):
+                rise = shape[a + n, b + n]
+                if rise == np.inf:
+                    continue
+                for column in range(max(0, -b), min(columns, columns - b)):
+                    line[column] = max(line[column], z[row + a, column + b] - rise)
+    return out

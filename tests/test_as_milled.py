@@ -1,0 +1,99 @@
+"""What a mill makes of a lens: fillets where its cutter does not fit, polishing, and what that costs the picture."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fabricated import bumpy, flat
+from magiclens.artifacts import FloatArray, HeightField, Lens, Solid
+from magiclens.fabrication.relief import top_relief
+from magiclens.meshing.solid import solid_from_heights
+from magiclens.meshing.validation import validate
+from magiclens.milling.machining import reachable_surface
+from magiclens.milling.milled import PIXEL_MM, milled
+from magiclens.preflight.as_made import as_made
+from magiclens.profiles.machines import Mill, machines
+from milled import BALL, FLAT, V, cutter, waves
+from test_printed import scene_of
+
+SMALL = Lens(size_mm=6.0, source_size_mm=6.0, facets=2, microfacets=8, thickness_mm=8.0, wall_mm=0.002)
+SHAPES = pytest.mark.parametrize("shape", [BALL, FLAT, V], ids=["ball", "flat", "v"])
+
+
+def mill(shape: dict[str, Any], polish: str = "0mm") -> Mill:
+    """The EGX-600 with another cutter."""
+    profile = machines()["egx-600"]
+    options = {name: value for name, value in profile.options.items() if name not in ("tip", "angle")}
+    named = {"cutter" if name == "shape" else name: value for name, value in shape.items()}
+    machine = profile.model.model_validate({**options, **named, "polish": polish})
+    assert isinstance(machine, Mill)
+    return machine
+
+
+def top(solid: Solid) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """x (columns,), y (rows,) and z (rows, columns) of a top's grid."""
+    assert solid.grid is not None
+    points = solid.vertices[: solid.grid[0] * solid.grid[1]].reshape(*solid.grid, 3)
+    return points[0, :, 0], points[:, 0, 1], points[..., 2]
+
+
+def cliff(step_mm: float) -> Solid:
+    """Two columns of flat facets, the right ones higher."""
+    heights = np.zeros((2, 2, 9, 9))
+    heights[:, 1] = step_mm
+    return solid_from_heights(HeightField(SMALL, heights, None))
+
+
+@SHAPES
+@pytest.mark.parametrize("solid", [waves(), bumpy(eye=None, lens=SMALL, seed=3)], ids=["waves", "steps"])
+def test_a_raster_agrees_with_the_exact_envelope(solid: Solid, shape: dict[str, Any]) -> None:
+    """The closing by lines, of the mesh itself, on a patch; steps fall between the raster's points."""
+    x, y, z = top(milled(solid, mill(shape)))
+    columns, rows = (slice(k, k + 40) for k in (len(x) // 3, len(y) // 3))
+    exact = reachable_surface(solid, cutter(shape), x[columns], y[rows])
+    off = np.abs(z[rows, columns] - exact)
+    assert np.median(off) < 0.005
+    assert off.mean() < 0.01
+
+
+def test_at_a_cliffs_foot_the_tips_ball_leaves_its_own_arc() -> None:
+    """A tip of radius r that leans on a cliff of height h < r touches the ground sqrt(2 r h - h^2) away from it."""
+    radius, step = 0.25, 0.1
+    x, _, z = top(milled(cliff(step), mill({**BALL, "diameter": "0.5mm"})))
+    profile = z[len(z) // 2] - SMALL.thickness_mm
+    foot = -((2 * radius * step - step**2) ** 0.5)
+
+    def arc(beside: FloatArray) -> FloatArray:
+        return np.asarray(radius - np.sqrt(radius**2 - np.clip(beside - foot, 0, -foot) ** 2))
+
+    low = (x < -PIXEL_MM) & (x > -2.9)
+    assert (profile[low] <= arc(x + PIXEL_MM)[low] + 1e-5).all()
+    assert (profile[low] >= arc(x - PIXEL_MM)[low] - 1e-5).all()
+    assert profile[(x > PIXEL_MM) & (x < 2.9)] == pytest.approx(step, abs=1e-5)
+
+
+def test_what_fits_is_cut_as_designed_and_polishing_rounds_it() -> None:
+    inside = slice(30, -30)
+    x, y, z = top(milled(flat(SMALL), mill(BALL)))
+    assert z[inside, inside] == pytest.approx(SMALL.thickness_mm, abs=1e-5)
+    x, y, raw = top(milled(waves(), mill(V)))
+    assert np.abs(raw - top_relief(waves(), x, y))[inside, inside].max() < 1e-3
+    sharp, round_ = (top(milled(cliff(0.1), mill(V, polish)))[2][:, inside] for polish in ("0mm", "0.05mm"))
+    assert np.abs(np.diff(round_)).max() < 0.5 * np.abs(np.diff(sharp)).max()
+
+
+def test_a_milled_lens_is_a_closed_body() -> None:
+    findings = validate(milled(bumpy(lens=SMALL), mill(V, "0.02mm")))
+    assert findings.flaws == ()
+    assert findings.metrics["bodies"] == 1
+
+
+def test_blunt_cutters_cost_more() -> None:
+    design = bumpy(lens=SMALL, seed=1)
+    scene = scene_of(SMALL)
+    costs = [as_made(mill({**V, "tip": tip}), scene, design) for tip in ("0.02mm", "0.2mm", "1mm")]
+    shown = [np.abs(c.pictures[0] - costs[0].pictures[0]).mean() for c in costs if c and costs[0]]
+    assert shown[0] < shown[1] < shown[2]
