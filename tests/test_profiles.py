@@ -70,9 +70,9 @@ def test_the_polyjet_printer_is_the_one_of_the_paper() -> None:
     assert machine.pixels_mm == pytest.approx((0.04233, 0.08467), abs=1e-5)
 
 
-def test_a_mill_gets_upright_cells_and_walls_with_draft(load: Loader) -> None:
+def test_a_mill_gets_walls_with_draft(load: Loader) -> None:
     plan = load()
-    assert (plan.lens.cells, plan.lens.wall_mm) == ("vertical", 0.03)
+    assert (plan.lens.cells, plan.lens.wall_mm) == ("eye", 0.03)
     assert plan.lens.thickness_mm + plan.lens.relief_mm <= 40
     options = plan.integrator.stage.model_dump()
     assert options["placement"] == "steps"
@@ -99,7 +99,6 @@ def test_what_a_scenario_needs_comes_before_what_suits_a_machine(load: Loader) -
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("lens.cells=eye", "lens.cells: facets cut along eye rays overhang, which milling cannot reach; use vertical"),
         ("lens.thickness=35mm", "lens.thickness: a relief of 9.9mm makes it 44.9mm high; milling makes at most 40mm"),
         ("lens.thickness=12mm", "lens.thickness: at its thinnest the lens would be 2.1mm; milling needs at least 10mm"),
         ("lens.max_slope=50deg", "lens.max_slope: milling can do 45deg at most, got 50deg"),
@@ -128,8 +127,8 @@ def test_a_cutter_that_is_short_or_blunt_makes_a_flatter_lens(load: Loader) -> N
 
 
 def test_a_limit_that_a_file_breaks_is_named_with_its_line(load: Loader) -> None:
-    with pytest.raises(InputError, match=r"made.yaml:2: lens.cells: facets cut along"):
-        load(replace=("facets: 8", "facets: 8, cells: eye"))
+    with pytest.raises(InputError, match=r"made.yaml:2: lens.wall: milling can do 0.03mm"):
+        load(replace=("facets: 8", "facets: 8, wall: 1um"))
 
 
 def test_options_of_a_machine_can_be_changed(load: Loader) -> None:

@@ -74,7 +74,8 @@ def reach(file: Exported, top: Top, lens: Lens, mill: Mill) -> Finding:
     steep = top.slope_deg > mill.steepest_deg + 0.5
     if under.any():
         facets = facets_with(under, top.facet, top.slope_deg, lens)
-        return Finding("tool reach", "red", f"{int(under.sum())} faces are undercut{first_of(facets)}", facets)
+        text = f"{int(under.sum())} faces are undercut; with lens.cells: vertical none would be{first_of(facets)}"
+        return Finding("tool reach", "red", text, facets)
     text = f"the top is {deep:.3g} mm deep, the cutter reaches {mill.reach:g} mm"
     if deep > mill.reach:
         low = top.triangles[..., 2].min(axis=1)
