@@ -439,7 +439,7 @@ def _matched(scene: Scene) -> Assignment | None:
 
 
 def _as_made(machine: Machine, scene: Scene, solid: Solid, folder: Path) -> dict[str, float]:
-    """What the lens shows as the machine makes it, as pictures, and what that costs; nothing without a grid."""
+    """What the lens shows as the machine makes it, as pictures, and what that costs; nothing if it is not simulated."""
     from magiclens.preflight.as_made import as_made, write_pictures
 
     made = as_made(machine, scene, solid)

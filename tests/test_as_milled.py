@@ -33,8 +33,9 @@ def mill(shape: dict[str, Any], polish: str = "0mm") -> Mill:
     return machine
 
 
-def top(solid: Solid) -> tuple[FloatArray, FloatArray, FloatArray]:
+def top(solid: Solid | None) -> tuple[FloatArray, FloatArray, FloatArray]:
     """x (columns,), y (rows,) and z (rows, columns) of a top's grid."""
+    assert solid is not None
     assert solid.grid is not None
     points = solid.vertices[: solid.grid[0] * solid.grid[1]].reshape(*solid.grid, 3)
     return points[0, :, 0], points[:, 0, 1], points[..., 2]
@@ -86,9 +87,16 @@ def test_what_fits_is_cut_as_designed_and_polishing_rounds_it() -> None:
 
 
 def test_a_milled_lens_is_a_closed_body() -> None:
-    findings = validate(milled(bumpy(lens=SMALL), mill(V, "0.02mm")))
+    made = milled(bumpy(lens=SMALL), mill(V, "0.02mm"))
+    assert made is not None
+    findings = validate(made)
     assert findings.flaws == ()
     assert findings.metrics["bodies"] == 1
+
+
+def test_what_would_be_too_coarse_to_be_true_is_not_simulated() -> None:
+    large = Lens(size_mm=200.0, source_size_mm=200.0, facets=2, microfacets=2, thickness_mm=8.0)
+    assert as_made(mill(V), scene_of(large), flat(large)) is None
 
 
 def test_blunt_cutters_cost_more() -> None:

@@ -16,44 +16,47 @@ from magiclens.milling.outline import distance_at, rise_at
 from magiclens.profiles.machines import Mill
 from magiclens.slab import border, slab
 
-PIXEL_MM, MOST_POINTS = 0.02, 8_000_000
-"""Of the milled surface; on large lenses pixels are larger to stay below."""
+PIXEL_MM, MOST_POINTS = 0.02, 32_000_000
+"""Of the milled surface. Twice as wide pixels hide most of what a fine tip leaves at the foot of a step."""
 
 
-def milled(solid: Solid, mill: Mill) -> Solid:
+def milled(solid: Solid, mill: Mill) -> Solid | None:
     """The slab that a mill makes of a solid with a grid, whatever its lines: its top sampled evenly, upright.
+
+    None if the lens has too many pixels.
 
     Where the cutter does not fit, more stays standing than was designed: the grey-scale closing of the top by the
     cutter's shape. Polishing, a Gaussian, takes the ridges between lines away and rounds edges.
     """
     cutter = Cutter.model_validate(mill.exporters()["gcode"]["cutter"])
     x0, x1, y0, y1 = outer(solid)
-    pixel = max(PIXEL_MM, math.sqrt((x1 - x0) * (y1 - y0) / MOST_POINTS))
-    x, y = (a + pixel * np.arange(int((b - a) / pixel) + 1) for a, b in ((x0, x1), (y0, y1)))
+    x, y = (a + PIXEL_MM * np.arange(int((b - a) / PIXEL_MM) + 1) for a, b in ((x0, x1), (y0, y1)))
+    if len(x) * len(y) > MOST_POINTS:
+        return None
     upper = solid.faces[(solid.faces < top_of(solid)[..., 0].size).all(axis=1)]
     z = top_relief(Solid(solid.vertices, upper), x, y[::-1])
     beside = np.isnan(z)
     if beside.any():  # the outline leans with the rays it is cut along
         z = z[tuple(distance_transform_edt(beside, return_distances=False, return_indices=True))]
-    shape = _shape(z, cutter.outline(), pixel)
+    shape = _shape(z, cutter.outline())
     z = -_dilated(-_dilated(z, shape), shape)
     if mill.polish > 0:
-        z = gaussian_filter(z, mill.polish / pixel, mode="nearest")
+        z = gaussian_filter(z, mill.polish / PIXEL_MM, mode="nearest")
     top = np.stack([*np.meshgrid(x, y[::-1]), z], axis=-1)
     return slab(top, top.reshape(-1, 3)[border(*z.shape)] * (1, 1, 0))
 
 
-def _shape(z: FloatArray, outline: FloatArray, pixel: float) -> FloatArray:
+def _shape(z: FloatArray, outline: FloatArray) -> FloatArray:
     """(2 n + 1, 2 n + 1) float32: the cutter's height above its tip as far out as it may touch z; inf beyond."""
     reach = float(outline[5])
     while True:
-        size = 2 * math.ceil(reach / pixel) + 1
+        size = 2 * math.ceil(reach / PIXEL_MM) + 1
         rise = float((maximum_filter(z, size) - minimum_filter(z, size)).max())
         if (nearer := float(distance_at(outline, rise))) >= 0.9 * reach:
             break
         reach = nearer
-    n = math.ceil(reach / pixel)
-    distances = pixel * np.hypot(*np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1)))
+    n = math.ceil(reach / PIXEL_MM)
+    distances = PIXEL_MM * np.hypot(*np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1)))
     heights = [rise_at(outline, d) if d <= outline[5] else np.inf for d in distances.ravel()]
     return np.array(heights, np.float32).reshape(distances.shape)
 

@@ -16,7 +16,8 @@ from magiclens.profiles.machines import Machine, Mill, Printer
 from magiclens.rendering.mitsuba import Mitsuba
 from magiclens.rendering.tracer import Tracer
 
-EYE = Tracer(resolution=384, samples=2)
+EYE = Tracer(resolution=389, samples=3)
+"""A prime number of pixels, so that samples fall on other places of every facet and see narrow strips in proportion."""
 
 
 @dataclass(frozen=True)
@@ -28,8 +29,10 @@ class AsMade:
     loss_db: float
 
 
-def made_by(machine: Machine, solid: Solid) -> Solid:
-    """What a machine makes of a solid."""
+def made_by(machine: Machine, solid: Solid) -> Solid | None:
+    """What a machine makes of a solid; None if it is too large for a mill, or a finisher has removed its grid."""
+    if solid.grid is None:
+        return None
     if isinstance(machine, Printer):
         return printed(solid, machine)
     assert isinstance(machine, Mill)
@@ -37,21 +40,23 @@ def made_by(machine: Machine, solid: Solid) -> Solid:
 
 
 def as_made(machine: Machine, scene: Scene, solid: Solid) -> AsMade | None:
-    """Trace the lens as made, and compare it with the lens as designed; None if a finisher has removed its grid.
+    """Trace the lens as made, and compare it with the lens as designed; None where ``made_by`` has nothing.
 
     What the machine's limits cost the design is not in the loss: that lens was never designed. It is the loss of what
     limits cannot prevent: stairs, spreading, corners that no cutter reaches, polishing.
     """
-    if solid.grid is None:
+    made = made_by(machine, solid)
+    if made is None:
         return None
-    pictures = EYE.render(scene, made_by(machine, solid))
+    pictures = EYE.render(scene, made)
     shown_db = _psnr_db(pictures, scene)
     return AsMade(pictures, shown_db, _psnr_db(EYE.render(scene, solid), scene) - shown_db)
 
 
 def rough_pictures(machine: Machine, scene: Scene, solid: Solid) -> list[FloatArray]:
-    """The same path-traced by Mitsuba, with the roughness of the machine's surface; nothing without a grid."""
-    return [] if solid.grid is None else Mitsuba(roughness=machine.roughness).render(scene, made_by(machine, solid))
+    """The same path-traced by Mitsuba, with the roughness of the machine's surface; nothing if it is not simulated."""
+    made = made_by(machine, solid)
+    return [] if made is None else Mitsuba(roughness=machine.roughness).render(scene, made)
 
 
 def write_pictures(pictures: Sequence[FloatArray], views: Sequence[View], folder: Path, name: str) -> None:
