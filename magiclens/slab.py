@@ -25,6 +25,17 @@ def slab(top: FloatArray, floor: FloatArray, eye_mm: FloatArray | None = None) -
     return Solid(vertices, faces.astype(np.int32), (rows, columns), eye_mm)
 
 
+def slab_under(x_mm: FloatArray, y_mm: FloatArray, z_mm: FloatArray, floor_mm: float = 0.0) -> Solid:
+    """The body under heights (rows, columns) above every (x_mm[column], y_mm[row]), with vertical cells.
+
+    Its floor is the top's outline, or a square of the side ``floor_mm`` where that is larger.
+    """
+    top = np.stack([*np.meshgrid(x_mm, y_mm), z_mm], axis=-1)
+    rim = top.reshape(-1, 3)[border(*z_mm.shape)]
+    half = np.abs(rim[:, :2]).max(axis=0)
+    return slab(top, rim * (*np.maximum(floor_mm / 2 / half, 1.0), 0.0))
+
+
 def _top_faces(rows: int, columns: int) -> IntArray:
     index = np.arange(rows * columns).reshape(rows, columns)
     tl, tr, bl, br = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]

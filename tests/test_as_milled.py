@@ -12,14 +12,15 @@ from magiclens.artifacts import FloatArray, HeightField, Lens, Solid
 from magiclens.fabrication.relief import top_relief
 from magiclens.meshing.solid import solid_from_heights
 from magiclens.meshing.validation import validate
+from magiclens.milling.border import top_of
 from magiclens.milling.machining import reachable_surface
 from magiclens.milling.milled import PIXEL_MM, milled
 from magiclens.preflight.as_made import as_made
 from magiclens.profiles.machines import Mill, machines
 from milled import BALL, FLAT, V, cutter, waves
+from milled import WAVES as SMALL
 from test_printed import scene_of
 
-SMALL = Lens(size_mm=6.0, source_size_mm=6.0, facets=2, microfacets=8, thickness_mm=8.0, wall_mm=0.002)
 SHAPES = pytest.mark.parametrize("shape", [BALL, FLAT, V], ids=["ball", "flat", "v"])
 
 
@@ -36,8 +37,7 @@ def mill(shape: dict[str, Any], polish: str = "0mm") -> Mill:
 def top(solid: Solid | None) -> tuple[FloatArray, FloatArray, FloatArray]:
     """x (columns,), y (rows,) and z (rows, columns) of a top's grid."""
     assert solid is not None
-    assert solid.grid is not None
-    points = solid.vertices[: solid.grid[0] * solid.grid[1]].reshape(*solid.grid, 3)
+    points = top_of(solid)
     return points[0, :, 0], points[:, 0, 1], points[..., 2]
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from magiclens.artifacts import FloatArray, Solid
 from magiclens.profiles.machines import Printer
-from magiclens.slab import border, slab
+from magiclens.slab import slab_under
 
 MOST_POINTS = 8_000_000
 """Points of the printed surface; on large lenses pixels are joined to stay below."""
@@ -31,8 +31,7 @@ def printed(solid: Solid, printer: Printer) -> Solid:
     spread = math.hypot(printer.blur, printer.polish)
     sigmas = spread / (y[1] - y[0]), spread / (x[1] - x[0])
     even = gaussian_filter(layers, sigmas, mode="nearest") if spread > 0 else layers
-    top = np.stack([*np.meshgrid(x, y[::-1]), even], axis=-1)
-    return slab(top, top.reshape(-1, 3)[border(*even.shape)] * (1, 1, 0))
+    return slab_under(x, y[::-1], even)
 
 
 def _pixels(solid: Solid, printer: Printer) -> tuple[float, float]:

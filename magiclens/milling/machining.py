@@ -25,7 +25,7 @@ from magiclens.milling.program import Facts, Program
 from magiclens.milling.rml import Rml, parse_rml
 from magiclens.milling.sheet import program_facts
 from magiclens.milling.sweep import swept
-from magiclens.slab import border, slab
+from magiclens.slab import slab_under
 
 PER_STEPOVER = 4
 """Rows of the simulated surface from one line to the next: enough to see what the ridges refract."""
@@ -112,7 +112,7 @@ def simulate(paths: Sequence[Path], design: Solid, cutters: Mapping[int, Cutter]
     gouge = max(float(np.nanmax(design_z - z)), 0.0)
     below = design.vertices[design.grid[0] * design.grid[1] :, :2]
     floor = 2 * float(np.abs(below).max()) if len(below) else 0.0
-    return Machined(_solid(x, y, z, floor), _fit(programs, design, gouge), programs)
+    return Machined(slab_under(x, y, z, floor), _fit(programs, design, gouge), programs)
 
 
 def machined_surface(programs: Sequence[Program], x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
@@ -257,11 +257,3 @@ def faults(program: Program, bed_mm: tuple[float, float] | None = None) -> list[
         if deepest > cutter.reach:
             found.append(f"cutter {number} goes {deepest:.4f} mm deep but reaches {cutter.reach:g}")
     return found
-
-
-def _solid(x_mm: FloatArray, y_mm: FloatArray, z_mm: FloatArray, floor_mm: float) -> Solid:
-    """The lens under a machined top, with vertical cells, on a square floor of side ``floor_mm`` at least."""
-    top = np.stack([*np.meshgrid(x_mm, y_mm), z_mm], axis=-1)
-    rim = top.reshape(-1, 3)[border(*z_mm.shape)]
-    half = np.abs(rim[:, :2]).max(axis=0)
-    return slab(top, rim * (*np.maximum(floor_mm / 2 / half, 1.0), 0.0))

@@ -14,7 +14,7 @@ from magiclens.milling.border import outer, top_of
 from magiclens.milling.cutter import Cutter
 from magiclens.milling.outline import distance_at, rise_at
 from magiclens.profiles.machines import Mill
-from magiclens.slab import border, slab
+from magiclens.slab import slab_under
 
 PIXEL_MM, MOST_POINTS = 0.02, 32_000_000
 """Of the milled surface. Twice as wide pixels hide most of what a fine tip leaves at the foot of a step."""
@@ -28,7 +28,7 @@ def milled(solid: Solid, mill: Mill) -> Solid | None:
     Where the cutter does not fit, more stays standing than was designed: the grey-scale closing of the top by the
     cutter's shape. Polishing, a Gaussian, takes the ridges between lines away and rounds edges.
     """
-    cutter = Cutter.model_validate(mill.exporters()["gcode"]["cutter"])
+    cutter = Cutter.model_validate(mill.tool)
     x0, x1, y0, y1 = outer(solid)
     x, y = (a + PIXEL_MM * np.arange(int((b - a) / PIXEL_MM) + 1) for a, b in ((x0, x1), (y0, y1)))
     if len(x) * len(y) > MOST_POINTS:
@@ -42,8 +42,7 @@ def milled(solid: Solid, mill: Mill) -> Solid | None:
     z = -_dilated(-_dilated(z, shape), shape)
     if mill.polish > 0:
         z = gaussian_filter(z, mill.polish / PIXEL_MM, mode="nearest")
-    top = np.stack([*np.meshgrid(x, y[::-1]), z], axis=-1)
-    return slab(top, top.reshape(-1, 3)[border(*z.shape)] * (1, 1, 0))
+    return slab_under(x, y[::-1], z)
 
 
 def _shape(z: FloatArray, outline: FloatArray) -> FloatArray:

@@ -115,13 +115,18 @@ class Mill(Machine):
         """The highest step that a wall of this width takes up with the draft that the machine needs."""
         return wall_mm / math.tan(math.radians(max(self.draft, 0.1)))
 
+    @property
+    def tool(self) -> dict[str, str]:
+        """The finishing cutter, as a spec writes it."""
+        end = {"tip": LENGTH.text(self.tip), "angle": ANGLE.text(self.angle)} if self.cutter == "v" else {}
+        return {
+            "shape": self.cutter, "diameter": LENGTH.text(self.diameter), **end, "reach": LENGTH.text(self.reach)
+        }  # fmt: skip
+
     def exporters(self) -> dict[str, dict[str, Any]]:
         """The cutter, its speeds and the machine's travel, for programs."""
-        cutter: dict[str, Any] = {"shape": self.cutter, "diameter": LENGTH.text(self.diameter)}
-        if self.cutter == "v":
-            cutter |= {"tip": LENGTH.text(self.tip), "angle": ANGLE.text(self.angle)}
         options = {
-            "cutter": {**cutter, "reach": LENGTH.text(self.reach)},
+            "cutter": self.tool,
             "bed": [LENGTH.text(side) for side in self.bed[:2]],
             "spindle": self.spindle,
             "feed": self.feed,
