@@ -13,7 +13,7 @@ from magiclens.fabrication.printed import printed
 from magiclens.meshing.solid import solid_from_heights
 from magiclens.meshing.solid import volume as volume_of
 from magiclens.meshing.validation import validate
-from magiclens.preflight.as_made import EYE, as_made, rough_pictures
+from magiclens.preflight.as_made import as_made, rough_pictures
 from magiclens.profiles.machines import Printer, machines
 from magiclens.rendering.tracer import Tracer
 from scenes import blotches, grey_view
@@ -116,7 +116,7 @@ def test_a_flat_print_shows_the_source_as_the_design_does() -> None:
     made = as_made(printer(), scene_of(lens), design)
     assert made is not None
     inner = slice(20, -20)  # the rim is rounded
-    wanted = EYE.render(scene_of(lens), design)[0][inner, inner]
+    wanted = Tracer().render(scene_of(lens), design)[0][inner, inner]
     assert np.abs(made.pictures[0][inner, inner] - wanted).max() < 0.02
 
 

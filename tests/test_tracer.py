@@ -140,14 +140,17 @@ def test_transmission_of_a_flat_slab_is_fresnels() -> None:
     np.testing.assert_allclose(above[:, :, 0, 2], straight**2, atol=1e-4)
 
 
-def test_samples_of_a_pixel_lie_row_by_row_within_it() -> None:
+def test_no_two_samples_of_a_pixel_share_a_row_or_a_column() -> None:
     lens = small_lens()
-    solid, view = tilted(lens, 0.1, 0.2, ABOVE), grey_view(BLANK, BLANK)
-    coarse, fine = trace(solid, lens, view, 8, 3), trace(solid, lens, view, 24, 1)[:, :, 0]
-    coarse = coarse.reshape(8, 8, 3, 3, 3).swapaxes(1, 2).reshape(24, 24, 3)
-    seen = fine[..., 2] > 0
-    assert seen.mean() > 0.5
-    np.testing.assert_allclose(coarse[seen], fine[seen], atol=1e-6)
+    solid, view = tilted(lens, 0.0, 0.0, ABOVE), grey_view(BLANK, BLANK)
+    coarse, fine = trace(solid, lens, view, 8, 3), trace(solid, lens, view, 72, 1)[:, :, 0]
+    for i, j in ((4, 4), (4, 5), (5, 3)):
+        within = fine[9 * i : 9 * i + 9, 9 * j : 9 * j + 9, :2]
+        apart = np.linalg.norm(coarse[i, j, :, None, None, :2] - within, axis=-1)
+        assert (apart.min(axis=(1, 2)) < 1e-5).all()
+        rows, columns = np.unravel_index(apart.reshape(9, -1).argmin(axis=1), (9, 9))
+        assert sorted(rows) == sorted(columns) == list(range(9))
+        assert np.hypot(np.diff(rows[:2]), np.diff(columns[:2])) > 3
 
 
 def test_light_from_beyond_the_source_is_black() -> None:

@@ -16,9 +16,6 @@ from magiclens.profiles.machines import Machine, Mill, Printer
 from magiclens.rendering.mitsuba import Mitsuba
 from magiclens.rendering.tracer import Tracer
 
-EYE = Tracer(resolution=389, samples=3)
-"""A prime number of pixels, so that samples fall on other places of every facet and see narrow strips in proportion."""
-
 
 @dataclass(frozen=True)
 class AsMade:
@@ -48,9 +45,9 @@ def as_made(machine: Machine, scene: Scene, solid: Solid) -> AsMade | None:
     made = made_by(machine, solid)
     if made is None:
         return None
-    pictures = EYE.render(scene, made)
+    pictures = Tracer().render(scene, made)
     shown_db = _psnr_db(pictures, scene)
-    return AsMade(pictures, shown_db, _psnr_db(EYE.render(scene, solid), scene) - shown_db)
+    return AsMade(pictures, shown_db, _psnr_db(Tracer().render(scene, solid), scene) - shown_db)
 
 
 def rough_pictures(machine: Machine, scene: Scene, solid: Solid) -> list[FloatArray]:

@@ -17,7 +17,7 @@ class Tracer(Renderer):
     type: ClassVar[str] = "tracer"
 
     resolution: int = Field(512, ge=16, le=4096, description="pixels per side of the picture")
-    samples: int = Field(3, ge=1, le=16, description="samples per side of a pixel")
+    samples: int = Field(4, ge=1, le=16, description="samples per side of a pixel")
 
     def render(self, scene: Scene, solid: Solid, progress: Progress = silent) -> list[FloatArray]:
         """See Renderer. Raises InputError if the solid is no longer a height field."""
