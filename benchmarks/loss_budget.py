@@ -23,7 +23,7 @@ from magiclens.integration.refine import foreseen
 from magiclens.matching.predict import bound_psnr_db
 from magiclens.meshing.solid import solid_from_heights
 from magiclens.plan import load_plan
-from magiclens.rendering.trace import picture, trace
+from magiclens.rendering.trace import picture, place, trace
 
 RESOLUTION, SAMPLES = 512, 4
 
@@ -50,14 +50,14 @@ def pictures(scene: Scene, built: HeightField, fresnel: bool, unshadowed: Assign
 def wanted(scene: Scene, view: View, assignment: Assignment, heights: FloatArray) -> FloatArray:
     """(R, R, S^2, 2) source points, mm, lens frame, at which the view's traced samples should arrive."""
     lens, patches = scene.lens, patches_seen(scene, assignment, view.in_lens_frame().eye_mm, heights)
-    at = (np.arange(RESOLUTION * SAMPLES) + 0.5) * lens.size_mm / (RESOLUTION * SAMPLES) - lens.size_mm / 2
-    facet = np.minimum(((at / lens.size_mm + 0.5) * lens.facets).astype(int), lens.facets - 1)
-    own = np.ix_(facet, facet)
+    right, down = np.array([place(k, SAMPLES) for k in range(SAMPLES**2)]).T
+    pixels = np.arange(RESOLUTION)
+    columns, rows = np.broadcast_arrays(pixels[:, None] + right, pixels[:, None, None] + down)
+    own = tuple((at * (lens.facets / RESOLUTION)).astype(int) for at in (rows, columns))
     along = (patches.maps @ np.linalg.inv(patches.shears))[own]
-    p = np.stack(np.meshgrid(at, -at), axis=-1) - patches.places_mm[own]
-    seen = patches.landings_mm[own] + np.einsum("ijab,ijb->ija", along, p)
-    blocks = seen.reshape(RESOLUTION, SAMPLES, RESOLUTION, SAMPLES, 2).transpose(0, 2, 1, 3, 4)
-    return blocks.reshape(RESOLUTION, RESOLUTION, SAMPLES**2, 2)
+    p = (np.stack([columns, -rows], axis=-1) / RESOLUTION + (-0.5, 0.5)) * lens.size_mm - patches.places_mm[own]
+    seen: FloatArray = patches.landings_mm[own] + np.einsum("ijkab,ijkb->ijka", along, p)
+    return seen
 
 
 def mean_psnr(scene: Scene, seen: list[FloatArray]) -> float:

@@ -6,16 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from magiclens.artifacts import FloatArray, Scene, Solid
 from magiclens.errors import InputError
 from magiclens.images.score import score
-from magiclens.milling.machining import (
-    faults,
-    find_programs,
-    polished,
-    ridge_width_mm,
-    simulate,
-)
+from magiclens.milling.machining import Machined, faults, find_programs, seen_as_machined, simulate
 from magiclens.reopen import Reopened, reopen
 
 FOLDER = "machined"
@@ -55,8 +48,6 @@ def machined(folder: str | Path) -> Outcome:
     made = simulate(paths, lens.solid)
     fit, moves = made.fit, [program.moves for program in made.programs]
     wrong = [f"{path.name}: {text}" for path, p in zip(paths, made.programs, strict=True) for text in faults(p)]
-    width = ridge_width_mm(made.programs) / 2
-    solids = {"designed": lens.solid, "as cut": made.solid, "polished": polished(made.solid, width)}
     return Outcome(
         str(lens.folder),
         tuple(path.name for path in paths),
@@ -68,7 +59,7 @@ def machined(folder: str | Path) -> Outcome:
         float(fit.unreached_share),
         float(fit.unreached_mm * 1000),
         tuple(wrong),
-        _pictures(lens, solids),
+        _pictures(lens, made),
     )
 
 
@@ -93,12 +84,14 @@ def as_text(found: Outcome) -> str:
     return "\n".join(lines)
 
 
-def _pictures(lens: Reopened, solids: dict[str, Solid]) -> dict[str, dict[str, float]]:
-    """Trace every solid in every view, write what the made ones show, and compare with the targets."""
+def _pictures(lens: Reopened, made: Machined) -> dict[str, dict[str, float]]:
+    """Trace the lens as designed, as cut and polished in every view, write what it shows, compare with the targets."""
     from magiclens.images.files import write_png
+    from magiclens.rendering.tracer import Tracer
 
     scene = lens.plan.on_medium(lens.printed_scene)
-    seen = {name: _seen(scene, solid) for name, solid in solids.items()}
+    cut, polished = seen_as_machined(scene, lens.solid, made.programs)
+    seen = {"designed": Tracer().render(scene, lens.solid), "as cut": cut, "polished": polished}
     (lens.folder / FOLDER).mkdir(exist_ok=True)
     for k, view in enumerate(scene.views):
         write_png(lens.folder / FOLDER / f"{view.name}.png", seen["as cut"][k])
@@ -107,9 +100,3 @@ def _pictures(lens: Reopened, solids: dict[str, Solid]) -> dict[str, dict[str, f
         view.name: {name: score(pictures[k], view.target).psnr_db for name, pictures in seen.items()}
         for k, view in enumerate(scene.views)
     }
-
-
-def _seen(scene: Scene, solid: Solid) -> list[FloatArray]:
-    from magiclens.rendering.tracer import Tracer
-
-    return Tracer().render(scene, solid)

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from fabricated import bumpy, flat
+from fabricated import Eye, bumpy, flat
 from magiclens.artifacts import FloatArray, HeightField, Lens, Solid
 from magiclens.fabrication.relief import top_relief
 from magiclens.meshing.solid import solid_from_heights
 from magiclens.meshing.validation import validate
-from magiclens.milling.border import top_of
+from magiclens.milling import strips
+from magiclens.milling.border import outer, top_of
 from magiclens.milling.machining import reachable_surface
-from magiclens.milling.milled import PIXEL_MM, milled
+from magiclens.milling.milled import COARSE_MM, milled
 from magiclens.preflight.as_made import as_made
 from magiclens.profiles.machines import Mill, machines
+from magiclens.rendering.tracer import Tracer
 from milled import BALL, FLAT, V, cutter, waves
 from milled import WAVES as SMALL
 from test_printed import scene_of
@@ -24,12 +27,12 @@ from test_printed import scene_of
 SHAPES = pytest.mark.parametrize("shape", [BALL, FLAT, V], ids=["ball", "flat", "v"])
 
 
-def mill(shape: dict[str, Any], polish: str = "0mm") -> Mill:
-    """The EGX-600 with another cutter."""
+def mill(shape: dict[str, Any], stepover: str = "0.001mm") -> Mill:
+    """The EGX-600 with another cutter; polishing its lines away evens out over half a stepover."""
     profile = machines()["egx-600"]
     options = {name: value for name, value in profile.options.items() if name not in ("tip", "angle")}
     named = {"cutter" if name == "shape" else name: value for name, value in shape.items()}
-    machine = profile.model.model_validate({**options, **named, "polish": polish})
+    machine = profile.model.model_validate({**options, **named, "stepover": stepover})
     assert isinstance(machine, Mill)
     return machine
 
@@ -70,10 +73,10 @@ def test_at_a_cliffs_foot_the_tips_ball_leaves_its_own_arc() -> None:
     def arc(beside: FloatArray) -> FloatArray:
         return np.asarray(radius - np.sqrt(radius**2 - np.clip(beside - foot, 0, -foot) ** 2))
 
-    low = (x < -PIXEL_MM) & (x > -2.9)
-    assert (profile[low] <= arc(x + PIXEL_MM)[low] + 1e-5).all()
-    assert (profile[low] >= arc(x - PIXEL_MM)[low] - 1e-5).all()
-    assert profile[(x > PIXEL_MM) & (x < 2.9)] == pytest.approx(step, abs=1e-5)
+    low = (x < -COARSE_MM) & (x > -2.9)
+    assert (profile[low] <= arc(x + COARSE_MM)[low] + 1e-5).all()
+    assert (profile[low] >= arc(x - COARSE_MM)[low] - 1e-5).all()
+    assert profile[(x > COARSE_MM) & (x < 2.9)] == pytest.approx(step, abs=1e-5)
 
 
 def test_what_fits_is_cut_as_designed_and_polishing_rounds_it() -> None:
@@ -82,16 +85,42 @@ def test_what_fits_is_cut_as_designed_and_polishing_rounds_it() -> None:
     assert z[inside, inside] == pytest.approx(SMALL.thickness_mm, abs=1e-5)
     x, y, raw = top(milled(waves(), mill(V)))
     assert np.abs(raw - top_relief(waves(), x, y))[inside, inside].max() < 1e-3
-    sharp, round_ = (top(milled(cliff(0.1), mill(V, polish)))[2][:, inside] for polish in ("0mm", "0.05mm"))
+    sharp, round_ = (top(milled(cliff(0.1), mill(V, over)))[2][:, inside] for over in ("0.001mm", "0.1mm"))
     assert np.abs(np.diff(round_)).max() < 0.5 * np.abs(np.diff(sharp)).max()
 
 
 def test_a_milled_lens_is_a_closed_body() -> None:
-    made = milled(bumpy(lens=SMALL), mill(V, "0.02mm"))
+    made = milled(bumpy(lens=SMALL), mill(V, "0.04mm"))
     assert made is not None
     findings = validate(made)
     assert findings.flaws == ()
     assert findings.metrics["bodies"] == 1
+
+
+@pytest.mark.parametrize("eye", [(0.0, 0.0, 108.0), (30.0, -20.0, 108.0)], ids=["above", "aside"])
+def test_strips_put_together_are_the_whole_picture(eye: Eye, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Light bends from one strip into the next, and an eye aside sees a strip's rows elsewhere at other heights."""
+    monkeypatch.setattr(strips, "STRIP_POINTS", 20_000)
+    design, scene, tracer = waves(), scene_of(SMALL), Tracer(resolution=96, samples=2)
+    views = tuple(replace(scene.views[0], eye_mm=np.array(eye), rotation_deg=turn) for turn in (0.0, 90.0))
+    scene = replace(scene, views=views)
+    asked = []
+
+    def surface(x: FloatArray, y: FloatArray) -> list[FloatArray]:
+        asked.append(len(y))
+        z = top_relief(design, x, y)
+        return [z, z - 0.4]
+
+    low, high = strips.seen_in_strips(scene, design, surface, (0.02, 0.02), tracer)
+    assert len(asked) > 4
+    x0, x1, y0, y1 = outer(design)
+    floor = design.vertices[top_of(design)[..., 0].size :]
+    x, y = np.arange(x0, x1, 0.02), np.arange(y0, y1, 0.02)[::-1]
+    for seen, lift in ((low, 0.0), (high, -0.4)):
+        whole = tracer.render(scene, strips.topped(x, y, top_relief(design, x, y) + lift, floor))
+        for part, picture in zip(seen, whole, strict=True):
+            assert (np.abs(part - picture) > 1e-4).mean() < 1e-3
+    assert np.abs(low[0] - high[0]).mean() > 1e-3
 
 
 def test_what_would_be_too_coarse_to_be_true_is_not_simulated() -> None:
@@ -102,6 +131,6 @@ def test_what_would_be_too_coarse_to_be_true_is_not_simulated() -> None:
 def test_blunt_cutters_cost_more() -> None:
     design = bumpy(lens=SMALL, seed=1)
     scene = scene_of(SMALL)
-    costs = [as_made(mill({**V, "tip": tip}), scene, design) for tip in ("0.02mm", "0.2mm", "1mm")]
+    costs = [as_made(mill({**V, "tip": tip}, "0.05mm"), scene, design) for tip in ("0.02mm", "0.2mm", "1mm")]
     shown = [np.abs(c.pictures[0] - costs[0].pictures[0]).mean() for c in costs if c and costs[0]]
     assert shown[0] < shown[1] < shown[2]

@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
-from magiclens.artifacts import FloatArray, Solid
+from magiclens.artifacts import FloatArray, Scene, Solid
 from magiclens.errors import InputError
 from magiclens.fabrication.relief import top_relief
 from magiclens.milling.border import Rectangle, inner, outer, top_of
@@ -24,13 +25,16 @@ from magiclens.milling.outline import distance_at
 from magiclens.milling.program import Facts, Program
 from magiclens.milling.rml import Rml, parse_rml
 from magiclens.milling.sheet import program_facts
+from magiclens.milling.strips import points_of, seen_in_strips
 from magiclens.milling.sweep import swept
 from magiclens.slab import slab_under
 
 PER_STEPOVER = 4
 """Rows of the simulated surface from one line to the next: enough to see what the ridges refract."""
+ALONG = 0.8
+"""Of a stepover, the raster's pitch along the lines where the surface is looked through."""
 ALONG_MM = 0.05
-MOST_POINTS = 24_000_000
+MOST_POINTS, MOST_SEEN = 24_000_000, 600_000_000
 TOUCHED_MM = 0.001
 """Where a cutter's shape leaves more than this standing, it does not reach the surface."""
 PATCHES, PATCH_MM2 = (8, 32), 200.0
@@ -58,11 +62,23 @@ class Fit:
 
 @dataclass(frozen=True)
 class Machined:
-    """The lens that programs make, in the lens's frame, its fit to the design, and the programs."""
+    """What programs make of a plate, in the lens's frame, how it fits the design, and the programs.
 
-    solid: Solid
+    x_mm: (columns,) ascending, y_mm: (rows,) descending, z_mm: (rows, columns) of the surface: coarse along the lines.
+    floor_mm: side of the design's flat bottom.
+    """
+
+    x_mm: FloatArray
+    y_mm: FloatArray
+    z_mm: FloatArray
+    floor_mm: float
     fit: Fit
     programs: tuple[Program, ...]
+
+    @property
+    def solid(self) -> Solid:
+        """The surface as a closed body with vertical cells."""
+        return slab_under(self.x_mm, self.y_mm, self.z_mm, self.floor_mm)
 
 
 def find_programs(folder: Path) -> list[Path]:
@@ -100,8 +116,8 @@ def read_program(path: Path, cutters: Mapping[int, Cutter] | None = None) -> Pro
 def simulate(paths: Sequence[Path], design: Solid, cutters: Mapping[int, Cutter] | None = None) -> Machined:
     """Run programs, in order, on a fresh plate and compare with the design, a solid with a grid, lens frame.
 
-    ``cutters`` by number are used instead of those that the files name. The machined solid has vertical cells: rows
-    or columns ``PER_STEPOVER`` to a line of finishing. Raises InputError if a file is not understood.
+    ``cutters`` by number are used instead of those that the files name. The surface has ``PER_STEPOVER`` rows or
+    columns to a line of finishing. Raises InputError if a file is not understood.
     """
     programs = tuple(read_program(path, cutters) for path in paths)
     if design.grid is None or not programs:
@@ -112,7 +128,7 @@ def simulate(paths: Sequence[Path], design: Solid, cutters: Mapping[int, Cutter]
     gouge = max(float(np.nanmax(design_z - z)), 0.0)
     below = design.vertices[design.grid[0] * design.grid[1] :, :2]
     floor = 2 * float(np.abs(below).max()) if len(below) else 0.0
-    return Machined(slab_under(x, y, z, floor), _fit(programs, design, gouge), programs)
+    return Machined(x, y, z, floor, _fit(programs, design, gouge), programs)
 
 
 def machined_surface(programs: Sequence[Program], x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
@@ -126,8 +142,10 @@ def machined_surface(programs: Sequence[Program], x_mm: FloatArray, y_mm: FloatA
     for program in reversed(programs):  # the surface is the same in any order; the last cut leaves least to do
         for number, cutter in reversed(program.facts.tools.items()):
             lines = program.moves.shifted(program.facts.zero_mm).lines(number)
-            if len(lines):
-                z = swept(cutter.outline(), lines, x_mm, rising, z)
+            across, radius = lines[:, [1, 4]], cutter.diameter / 2
+            near = (across.min(axis=1) <= rising[-1] + radius) & (across.max(axis=1) >= rising[0] - radius)
+            if near.any():
+                z = swept(cutter.outline(), lines[near], x_mm, rising, z)
     return np.ascontiguousarray(z[::-1])
 
 
@@ -221,24 +239,28 @@ def _raster(programs: Sequence[Program], design: Solid) -> tuple[FloatArray, Flo
     return x, np.ascontiguousarray(y[::-1])
 
 
-def polished(solid: Solid, width_mm: float) -> Solid:
-    """A machined solid after polishing, as a model: heights blurred by a Gaussian of standard deviation ``width_mm``.
+def seen_as_machined(
+    scene: Scene, design: Solid, programs: Sequence[Program]
+) -> tuple[list[FloatArray], list[FloatArray]]:
+    """Per view (R, R, C) float32, linear light: what eyes see of the lens as cut, and after polishing.
 
-    Polishing takes the ridges between the lines away first: a width of half the stepover leaves less than 1 % of them.
+    Polishing, as a model, is a Gaussian over the heights that takes the ridges between the lines away: of a standard
+    deviation of half the stepover, it leaves less than 1 % of them.
     """
-    from scipy.ndimage import gaussian_filter
+    across, stepover = _stepover(programs[-1].moves)
+    pixel = np.full(2, stepover * ALONG)
+    pixel[across] = stepover / PER_STEPOVER
+    pixel *= max(1.0, math.sqrt(points_of(design, (pixel[0], pixel[1])) / MOST_SEEN))
+    sigma = stepover / 2 / pixel[::-1]
+    margin = pixel[1] * np.arange(1, math.ceil(4 * sigma[0]) + 1)
 
-    top = top_of(solid)
-    pixel = abs(top[1, 0, 1] - top[0, 0, 1]), abs(top[0, 1, 0] - top[0, 0, 0])
-    vertices = solid.vertices.copy()
-    smooth = gaussian_filter(top[..., 2], [width_mm / side for side in pixel], mode="nearest")
-    vertices[: smooth.size, 2] = smooth.ravel()
-    return replace(solid, vertices=vertices)
+    def surface(x: FloatArray, y: FloatArray) -> list[FloatArray]:
+        z = machined_surface(programs, x, np.concatenate([y[0] + margin[::-1], y, y[-1] - margin]))
+        own = slice(len(margin), len(margin) + len(y))
+        return [z[own], gaussian_filter(z, sigma, mode="nearest")[own]]
 
-
-def ridge_width_mm(programs: Sequence[Program]) -> float:
-    """Distance between the lines of finishing, as the moves tell."""
-    return _stepover(programs[-1].moves)[1]
+    cut, polished = seen_in_strips(scene, design, surface, (float(pixel[0]), float(pixel[1])))
+    return cut, polished
 
 
 def faults(program: Program, bed_mm: tuple[float, float] | None = None) -> list[str]:

@@ -11,7 +11,7 @@ import numpy as np
 from magiclens.artifacts import FloatArray, Scene, Solid, View
 from magiclens.fabrication.printed import printed
 from magiclens.images import score, write_png
-from magiclens.milling.milled import milled
+from magiclens.milling.milled import milled, seen_as_milled
 from magiclens.profiles.machines import Machine, Mill, Printer
 from magiclens.rendering.mitsuba import Mitsuba
 from magiclens.rendering.tracer import Tracer
@@ -26,33 +26,34 @@ class AsMade:
     loss_db: float
 
 
-def made_by(machine: Machine, solid: Solid) -> Solid | None:
-    """What a machine makes of a solid; None if it is too large for a mill, or a finisher has removed its grid."""
-    if solid.grid is None:
-        return None
-    if isinstance(machine, Printer):
-        return printed(solid, machine)
-    assert isinstance(machine, Mill)
-    return milled(solid, machine)
-
-
 def as_made(machine: Machine, scene: Scene, solid: Solid) -> AsMade | None:
-    """Trace the lens as made, and compare it with the lens as designed; None where ``made_by`` has nothing.
+    """Trace the lens as made, and compare it with the lens as designed; None if it is too large, or has no grid.
 
     What the machine's limits cost the design is not in the loss: that lens was never designed. It is the loss of what
     limits cannot prevent: stairs, spreading, corners that no cutter reaches, polishing.
     """
-    made = made_by(machine, solid)
-    if made is None:
+    if solid.grid is None:
         return None
-    pictures = Tracer().render(scene, made)
+    if isinstance(machine, Mill):
+        pictures = seen_as_milled(scene, solid, machine)
+    else:
+        assert isinstance(machine, Printer)
+        pictures = Tracer().render(scene, printed(solid, machine))
+    if pictures is None:
+        return None
     shown_db = _psnr_db(pictures, scene)
     return AsMade(pictures, shown_db, _psnr_db(Tracer().render(scene, solid), scene) - shown_db)
 
 
 def rough_pictures(machine: Machine, scene: Scene, solid: Solid) -> list[FloatArray]:
     """The same path-traced by Mitsuba, with the roughness of the machine's surface; nothing if it is not simulated."""
-    made = made_by(machine, solid)
+    if solid.grid is None:
+        return []
+    if isinstance(machine, Mill):
+        made = milled(solid, machine)
+    else:
+        assert isinstance(machine, Printer)
+        made = printed(solid, machine)
     return [] if made is None else Mitsuba(roughness=machine.roughness).render(scene, made)
 
 

@@ -92,9 +92,9 @@ class Mill(Machine):
         "30deg", validate_default=True, gt=0, lt=180, description="between a v cutter's flanks"
     )
     reach: Length = Field(gt=0, description="how deep it gets into a narrow hole before its holder touches")
-    polish: Length = Field(
-        "0.01mm", validate_default=True, ge=0, le=5,
-        description="how far polishing, which takes ridges away, evens the surface out: sigma of a Gaussian",
+    stepover: Length = Field(
+        "0.02mm", validate_default=True, gt=0, le=5,
+        description="between the lines of finishing; polishing their ridges away evens out over half of it",
     )  # fmt: skip
     spindle: int = Field(12000, ge=1, description="turns per minute")
     feed: str = Field("1200mm/min", pattern=SPEED, description="while cutting")
@@ -116,6 +116,11 @@ class Mill(Machine):
         return wall_mm / math.tan(math.radians(max(self.draft, 0.1)))
 
     @property
+    def polish_mm(self) -> float:
+        """Sigma of the Gaussian that polishing amounts to: it leaves less than 1 % of the ridges between lines."""
+        return self.stepover / 2
+
+    @property
     def tool(self) -> dict[str, str]:
         """The finishing cutter, as a spec writes it."""
         end = {"tip": LENGTH.text(self.tip), "angle": ANGLE.text(self.angle)} if self.cutter == "v" else {}
@@ -127,6 +132,7 @@ class Mill(Machine):
         """The cutter, its speeds and the machine's travel, for programs."""
         options = {
             "cutter": self.tool,
+            "stepover": LENGTH.text(self.stepover),
             "bed": [LENGTH.text(side) for side in self.bed[:2]],
             "spindle": self.spindle,
             "feed": self.feed,

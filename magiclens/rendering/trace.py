@@ -21,8 +21,12 @@ MAX_EVENTS = 8
 _SPLIT = 1e-12
 
 
-def trace(solid: Solid, lens: Lens, view: View, resolution: int, samples: int) -> FloatArray:
+def trace(
+    solid: Solid, lens: Lens, view: View, resolution: int, samples: int, rows: tuple[int, int] | None = None
+) -> FloatArray:
     """(R, R, samples^2, 3) float32, lens frame: source point x, y (mm, +y up) and transmission of every sample.
+
+    rows: the first of those that are wanted, and the one after the last; all by default.
 
     The picture is the lens's square on the reference plane as ``view``'s eye sees it. Samples lie on a turned grid, no
     two of a pixel in one row or column, so that a facet's narrow upright and level strips are seen in proportion even
@@ -33,7 +37,7 @@ def trace(solid: Solid, lens: Lens, view: View, resolution: int, samples: int) -
     hits: FloatArray = _trace(
         grid.us, grid.vs, grid.ws, grid.points, grid.eye, grid.plane, grid.vertical, float(grid.points[..., 2].max()),
         grid.floor, np.ascontiguousarray(eye),
-        lens.size_mm, lens.thickness_mm, lens.gap_mm, lens.ior, resolution, samples,
+        lens.size_mm, lens.thickness_mm, lens.gap_mm, lens.ior, resolution, samples, *(rows or (0, resolution)),
     )
     return hits
 
@@ -287,27 +291,31 @@ def _follow(us, vs, ws, points, cut_eye, plane, vertical, top, floor, eye, qx, q
 
 
 @njit(cache=True)
-def _place(k, samples):
+def place(k, samples):
     """Where in its pixel, from the upper left, the k-th of samples^2 lies: the columns of a square grid, turned."""
     a, b = k % samples, k // samples
     return (a + (b + 0.5) / samples) / samples, (b + (samples - a - 0.5) / samples) / samples
 
 
 @njit(cache=True, parallel=True)
-def _trace(us, vs, ws, points, cut_eye, plane, vertical, top, floor, eye, size, depth, gap, ior, resolution, samples):
-    hits = np.zeros((resolution, resolution, samples * samples, 3), np.float32)
+def _trace(
+    us, vs, ws, points, cut_eye, plane, vertical, top, floor, eye, size, depth, gap, ior,
+    resolution, samples, first, end,
+):  # fmt: skip
+    hits = np.zeros((end - first, resolution, samples * samples, 3), np.float32)
     pixel = size / resolution
-    for i in prange(resolution):
+    for row in prange(end - first):
+        i = first + np.int64(row)  # prange counts unsigned
         normal, out, found = np.zeros(3), np.zeros(3), np.zeros(3, np.int64)
         for j in range(resolution):
             for k in range(samples * samples):
-                right, down = _place(k, samples)
+                right, down = place(k, samples)
                 qx, qy = (j + right) * pixel - 0.5 * size, 0.5 * size - (i + down) * pixel
                 _follow(
                     us, vs, ws, points, cut_eye, plane, vertical, top, floor, eye, qx, qy, depth, gap, ior,
                     normal, found, out,
                 )
-                hits[i, j, k, 0], hits[i, j, k, 1], hits[i, j, k, 2] = out[0], out[1], out[2]
+                hits[row, j, k, 0], hits[row, j, k, 1], hits[row, j, k, 2] = out[0], out[1], out[2]
     return hits
 
 
