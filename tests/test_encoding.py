@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,6 +30,28 @@ def shuffled(seed: int = 0) -> Transport:
     matrix = csr_array((np.full(rows, 0.8, np.float32), (np.arange(rows), order)), (rows, 4 * rows))
     mixed = csr_array(0.9 * eye_array(rows, dtype=np.float32) + 0.1 * eye_array(rows, k=1, dtype=np.float32))
     return Transport(csr_array(mixed @ matrix), (SIDE, SIDE), (2 * SIDE, 2 * SIDE))
+
+
+PRODUCT = """
+import hashlib
+import numpy as np
+from magiclens.optics.sparse import times
+rng = np.random.default_rng(0)
+rows, each = 512, 60
+pointers, columns = np.arange(rows + 1, dtype=np.int32) * each, rng.integers(0, rows, rows * each).astype(np.int32)
+seen = times(pointers, columns, rng.random(rows * each).astype(np.float32), rng.random((rows, 1)).astype(np.float32))
+print(hashlib.sha256(seen.tobytes()).hexdigest(), sum(times.stats.cache_hits.values()))
+"""
+
+
+def test_the_first_run_on_a_machine_gives_the_same_bytes_as_the_second(tmp_path: Path) -> None:
+    """Code that numba has just compiled and the same code from its cache: fastmath would tell them apart."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    command = [sys.executable, "-c", PRODUCT]
+    said = [subprocess.run(command, env=environment, capture_output=True, text=True, check=True) for _ in range(2)]
+    (first, hits), (second, later_hits) = (each.stdout.split() for each in said)
+    assert (hits, later_hits) == ("0", "1")
+    assert first == second
 
 
 def scene(targets: list[FloatArray], names: list[str], reserved: BoolArray | None = None) -> Scene:

@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 from numba import njit, prange
+from scipy.ndimage import maximum_filter
 
 from magiclens.artifacts import FloatArray, IntArray
 from magiclens.milling.outline import distance_at, nearest, rise_at
@@ -17,6 +18,8 @@ from magiclens.milling.rows import by_row
 
 BAND = 16
 """Rows that one thread cuts together."""
+NEAR = 0.05
+"""Of the cutter's radius: how far the first pass looks."""
 BLOCK = 8
 """Columns whose highest point is remembered, so that moves that pass above them are skipped."""
 
@@ -29,10 +32,33 @@ def swept(outline: FloatArray, moves: FloatArray, x_mm: FloatArray, y_mm: FloatA
     moves, reach = _prepared(outline, moves, float(z_mm.max()))
     first = np.arange(0, len(y_mm), BAND)
     last = np.minimum(first + BAND, len(y_mm)) - 1
-    band = _by_band(moves, reach, y_mm[first], y_mm[last])
-    out = np.array(z_mm, np.float64, order="C")
-    _cut_grid(outline, moves, reach, *band, np.ascontiguousarray(x_mm), np.ascontiguousarray(y_mm), out)
+    x, y, out = np.ascontiguousarray(x_mm), np.ascontiguousarray(y_mm), np.array(z_mm, np.float64, order="C")
+    near = np.minimum(reach, NEAR * float(outline[5]))
+    for within in (near, None):  # what passes close by leaves so little standing that few others reach it
+        wide = _nearer(outline, moves, reach, x, y, out) if within is None else within
+        _cut_grid(outline, moves, wide, *_by_band(moves, wide, y[first], y[last]), x, y, out)
     return out
+
+
+def _nearer(
+    outline: FloatArray, moves: FloatArray, reach: FloatArray, x: FloatArray, y: FloatArray, z: FloatArray
+) -> FloatArray:
+    """How far from moves the cutter meets anything, at most ``reach``, now that the heights z (rows, columns) are left.
+
+    The highest point within the cutter's radius of a move, by cells of a coarse map, bounds what it can still cut.
+    """
+    radius = float(outline[5])
+    cell, middle = radius / 4, (moves[:, :3] + moves[:, 3:]) / 2
+    starts = [np.searchsorted(a, a[0] + cell * np.arange(int((a[-1] - a[0]) / cell) + 1)) for a in (y, x)]
+    highest = np.maximum.reduceat(np.maximum.reduceat(z, starts[0], axis=0), starts[1], axis=1)
+    highest = maximum_filter(highest, 2 * 7 + 1, mode="nearest")  # half a move, the radius, a cell
+    row, column = (
+        np.clip(((middle[:, axis] - a[0]) / cell).astype(int), 0, size - 1)
+        for axis, a, size in zip((1, 0), (y, x), highest.shape, strict=True)
+    )
+    short = np.hypot(moves[:, 3] - moves[:, 0], moves[:, 4] - moves[:, 1]) < radius
+    least = _reaches(outline, moves[:, 2] - highest[row, column], 0.0)
+    return np.where(short, np.minimum(reach, least), reach)
 
 
 def _prepared(outline: FloatArray, moves: FloatArray, top: float) -> tuple[FloatArray, FloatArray]:

@@ -6,7 +6,8 @@ import numpy as np
 from numba import njit, prange
 
 
-@njit(cache=True, parallel=True, fastmath=True)
+# no fastmath: code that was just compiled would give other last bits than the same code from numba's cache
+@njit(cache=True, parallel=True)
 def times(pointers, columns, values, x):
     """(rows, C) float32: a compressed-row matrix (pointers, columns, values) times x (columns, C) float32."""
     rows, channels = len(pointers) - 1, x.shape[1]
