@@ -34,7 +34,7 @@ PER_STEPOVER = 4
 ALONG = 0.8
 """Of a stepover, the raster's pitch along the lines where the surface is looked through."""
 ALONG_MM = 0.05
-MOST_POINTS, MOST_SEEN = 24_000_000, 600_000_000
+MOST_POINTS, MOST_SEEN = 24_000_000, 100_000_000
 TOUCHED_MM = 0.001
 """Where a cutter's shape leaves more than this standing, it does not reach the surface."""
 PATCHES, PATCH_MM2 = (8, 32), 200.0

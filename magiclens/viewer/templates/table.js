@@ -4,6 +4,12 @@ const SAMPLES = 4;
 // Samples stay off the walls between facets, which even pixels would else meet in whole rows.
 const OFF = [0.057, 0.083];
 
+// Where in its pixel the k-th sample lies, from the lower left, in samples' widths: on a turned grid, as the tracer's.
+function turnedGrid(k, samples) {
+  const a = k % samples, b = Math.floor(k / samples);
+  return [a + (samples - b - 0.5) / samples, b + (a + 0.5) / samples];
+}
+
 function tablePicture(gl, lens, top) {
   const fine = gl.getExtension("EXT_color_buffer_float") || gl.getExtension("EXT_color_buffer_half_float");
   const trace = program(gl, SHADERS.screen, SHADERS.top + SHADERS.table);
@@ -50,7 +56,7 @@ function tablePicture(gl, lens, top) {
       ior: lens.ior, sourceHalf: lens.source_size / 2, darkest: lens.darkest, exact: whole(exact ? 1 : 0),
       lod: count === 1 ? blurred : Math.max(blurred - Math.log2(samples), 0) * (exact ? 0 : 1), ...colors,
       pose: [pose.x, pose.y, Math.cos(turned), Math.sin(turned)], eye: view.eye, origin: view.origin, right: view.right, up: view.up,
-      jitter: [k % samples, Math.floor(k / samples)].map((place, axis) => (place + 0.5 + (exact ? 0 : OFF[axis])) / samples),
+      jitter: turnedGrid(k, samples).map((place, axis) => (place + (exact ? 0 : OFF[axis])) / samples),
     });
     gl.drawArrays(gl.TRIANGLES, 0, 3);
     gl.disable(gl.BLEND);
