@@ -33,10 +33,12 @@ def swept(outline: FloatArray, moves: FloatArray, x_mm: FloatArray, y_mm: FloatA
     first = np.arange(0, len(y_mm), BAND)
     last = np.minimum(first + BAND, len(y_mm)) - 1
     x, y, out = np.ascontiguousarray(x_mm), np.ascontiguousarray(y_mm), np.array(z_mm, np.float64, order="C")
-    near = np.minimum(reach, NEAR * float(outline[5]))
-    for within in (near, None):  # what passes close by leaves so little standing that few others reach it
-        wide = _nearer(outline, moves, reach, x, y, out) if within is None else within
-        _cut_grid(outline, moves, wide, *_by_band(moves, wide, y[first], y[last]), x, y, out)
+
+    def cut(within: FloatArray) -> None:
+        _cut_grid(outline, moves, within, *_by_band(moves, within, y[first], y[last]), x, y, out)
+
+    cut(np.minimum(reach, NEAR * float(outline[5])))
+    cut(_nearer(outline, moves, reach, x, y, out))  # what passed close by left so little that few others reach it
     return out
 
 
