@@ -48,9 +48,11 @@ class Milling(Exporter):
     )
     axis: Literal["x", "y"] = Field("x", description="direction of the lines")
     stepover: Length = Field("0.03mm", validate_default=True, gt=0, description="between the lines of finishing")
-    tolerance: Length = Field(
-        "0.0005mm", validate_default=True, gt=0, le=1, description="most that straight segments leave on the lens"
-    )
+    tolerance: Length | None = Field(
+        None, gt=0, le=1,
+        description="most that straight segments leave on the lens; if left out, a hundredth of the stepover, at most "
+        "0.0005mm: lines side by side that differ by more tilt the surface that polishing leaves",
+    )  # fmt: skip
     rough_stepover: Length | None = Field(
         None, gt=0, description="between the lines of roughing, 0.4 of the cutter's diameter (its tip's, of a v)"
     )
@@ -104,6 +106,11 @@ class Milling(Exporter):
     def roughing_cutter(self) -> Cutter:
         """The cutter for roughing."""
         return self.rougher or self.cutter
+
+    @property
+    def tolerance_mm(self) -> float:
+        """Most that segments leave: at least the step of coordinates."""
+        return max(self.tolerance or min(self.stepover / 100, 0.0005), self.step_mm)
 
     @property
     def rough_stepover_mm(self) -> float:

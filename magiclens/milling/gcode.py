@@ -44,7 +44,7 @@ class Gcode(Milling):
 
     def write(self, program: Program, comments: list[str]) -> str:
         """The program as text, one move a line."""
-        blend = f" G64 P{self.tolerance:.4f}" if self.flavour == "linuxcnc" else ""
+        blend = f" G64 P{self.tolerance_mm:.4f}" if self.flavour == "linuxcnc" else ""
         lines = [f"({_plain(comment)})" for comment in comments]
         return "\n".join([*lines, MODES + blend, *self._body(program), "M5", "M30", ""])
 

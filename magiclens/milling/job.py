@@ -133,7 +133,7 @@ def _left(options: Milling, op: Pass, jump: float) -> float:
     if op.name != "finishing":
         return math.inf
     ridge = scallop_mm(op.cutter.outline(), op.stepover_mm, jump / op.stepover_mm)
-    return ridge + jump + max(options.tolerance, options.step_mm) + options.step_mm + SAG_MM
+    return ridge + jump + options.tolerance_mm + options.step_mm + SAG_MM
 
 
 def _slope(solid: Solid) -> float:

@@ -25,16 +25,17 @@ from magiclens.milling.outline import distance_at
 from magiclens.milling.program import Facts, Program
 from magiclens.milling.rml import Rml, parse_rml
 from magiclens.milling.sheet import program_facts
-from magiclens.milling.strips import points_of, seen_in_strips
+from magiclens.milling.strips import seen_in_strips
 from magiclens.milling.sweep import swept
 from magiclens.slab import slab_under
 
 PER_STEPOVER = 4
-"""Rows of the simulated surface from one line to the next: enough to see what the ridges refract."""
-ALONG = 0.8
-"""Of a stepover, the raster's pitch along the lines where the surface is looked through."""
+"""Rows of the simulated surface from one line to the next."""
+SEEN_ALONG, SEEN_ACROSS = 0.8, 0.5
+"""Of a stepover, the raster's pitch where the surface is looked through. Only a whole number of rows to a line keeps
+the ridges from beating with the raster."""
 ALONG_MM = 0.05
-MOST_POINTS, MOST_SEEN = 24_000_000, 100_000_000
+MOST_POINTS = 24_000_000
 TOUCHED_MM = 0.001
 """Where a cutter's shape leaves more than this standing, it does not reach the surface."""
 PATCHES, PATCH_MM2 = (8, 32), 200.0
@@ -140,8 +141,7 @@ def machined_surface(programs: Sequence[Program], x_mm: FloatArray, y_mm: FloatA
     rising = np.ascontiguousarray(y_mm[::-1])
     z = np.full((len(y_mm), len(x_mm)), programs[0].facts.zero_mm[2])
     for program in reversed(programs):  # the surface is the same in any order; the last cut leaves least to do
-        for number, cutter in reversed(program.facts.tools.items()):
-            lines = program.moves.shifted(program.facts.zero_mm).lines(number)
+        for cutter, lines in reversed(program.cuts):
             across, radius = lines[:, [1, 4]], cutter.diameter / 2
             near = (across.min(axis=1) <= rising[-1] + radius) & (across.max(axis=1) >= rising[0] - radius)
             if near.any():
@@ -248,9 +248,8 @@ def seen_as_machined(
     deviation of half the stepover, it leaves less than 1 % of them.
     """
     across, stepover = _stepover(programs[-1].moves)
-    pixel = np.full(2, stepover * ALONG)
-    pixel[across] = stepover / PER_STEPOVER
-    pixel *= max(1.0, math.sqrt(points_of(design, (pixel[0], pixel[1])) / MOST_SEEN))
+    pixel = np.full(2, stepover * SEEN_ALONG)
+    pixel[across] = stepover * SEEN_ACROSS
     sigma = stepover / 2 / pixel[::-1]
     margin = pixel[1] * np.arange(1, math.ceil(4 * sigma[0]) + 1)
 

@@ -137,7 +137,7 @@ class Pass:
     def corners(self, nodes: FloatArray, y: float, z: FloatArray, tolerance: float) -> FloatArray:
         """(K, 3): where a path turns that follows heights z at the nodes from above."""
         (spacing, every), step = self.spacing, self.options.step_mm
-        at, count = segments(np.ascontiguousarray(z), spacing * every, max(tolerance, step), step)
+        at, count = segments(np.ascontiguousarray(z), spacing * every, tolerance, step)
         return np.column_stack([nodes[at], np.full(len(at), y), count * step])
 
     def up(self, z: float) -> float:
@@ -157,7 +157,7 @@ def _finish(op: Pass, path: Path, part: Rectangle) -> float:
         if before is not None and y0 <= lines[row - 1] and lines[row] <= y1:
             jump = max(jump, float(np.abs(z - before)[inside].max(initial=0.0)))
         before = z
-        points = op.corners(nodes, lines[row], z, op.options.tolerance)[:: -1 if row % 2 else 1]
+        points = op.corners(nodes, lines[row], z, op.options.tolerance_mm)[:: -1 if row % 2 else 1]
         if row == 0:
             path.over(*points[0, :2])
         else:
@@ -217,7 +217,7 @@ def _across(path: Path, to: tuple[float, float], over: float, feed: float) -> No
 def _follow(op: Pass, path: Path, nodes: FloatArray, y: float, z: FloatArray, start: int, end: int) -> None:
     """Down to heights z (nodes,) and along them from one node to another."""
     part = slice(min(start, end), max(start, end) + 1)
-    points = op.corners(nodes[part], y, z[part], max(op.options.tolerance, op.options.allowance / 5))
+    points = op.corners(nodes[part], y, z[part], max(op.options.tolerance_mm, op.options.allowance / 5))
     points = points if start <= end else points[::-1]
     path.to(points[:1], op.options.plunge)
     path.to(points[1:], op.options.feed)

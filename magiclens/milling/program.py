@@ -5,7 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
+from magiclens.artifacts import FloatArray
 from magiclens.errors import InputError
 from magiclens.milling.cutter import Cutter
 from magiclens.milling.moves import Moves
@@ -64,3 +66,9 @@ class Program:
 
     moves: Moves
     facts: Facts
+
+    @cached_property
+    def cuts(self) -> tuple[tuple[Cutter, FloatArray], ...]:
+        """Each cutter and its straight moves at feed speed (K, 6): from and to, mm, lens frame."""
+        moves = self.moves.shifted(self.facts.zero_mm)
+        return tuple((cutter, moves.lines(number)) for number, cutter in self.facts.tools.items())
