@@ -18,7 +18,7 @@ from magiclens.integration.freeform import View as Seen
 from magiclens.integration.freeform import _along, _back, _field, _look, _pull, _slopes, _spectrum
 from magiclens.integration.measures import measures, slopes_deg
 from magiclens.integration.poisson import Poisson
-from magiclens.integration.refine import _samples, _sights, _slab, foreseen
+from magiclens.integration.refine import LOOKS, _samples, _sights, _slab, foreseen
 from magiclens.integration.two_level import cosines
 from magiclens.matching.exhaustive import Exhaustive
 from magiclens.meshing.solid import solid_from_heights
@@ -32,6 +32,8 @@ from scenes import blotches, plane_points_mm, surface
 from toys import TOYS, SpecWriter, ToyIntegrator, ToyMatcher, registry_of
 
 RNG = 11
+STEADY = Poisson(placement="steps")
+"""Does not raise facets once they are refined."""
 RAISED_MM = 1.0
 """Of rolling lenses, so that eyes beside the lens see them shifted."""
 
@@ -84,7 +86,7 @@ def showing(scene: Scene, built: HeightField) -> Scene:
 def traced(scene: Scene, built: HeightField, view: View) -> FloatArray:
     """What the built-in tracer sees, in the exposure that makes up for reflection losses; world frame."""
     lens = scene.lens
-    hits = trace(solid_from_heights(built), lens, view, lens.facets * _samples(lens).pixels, 4)
+    hits = trace(solid_from_heights(built), lens, view, lens.facets * _samples(lens, LOOKS[-1]).pixels, 4)
     seen = picture(hits, view.in_lens_frame().source, lens.source_size_mm) / np.median(hits[..., 2])
     return np.ascontiguousarray(np.rot90(seen.clip(0, 1), view.quarter_turns))
 
@@ -147,12 +149,35 @@ def test_no_facet_shows_its_tile_worse_than_its_lenslet_did(make: Callable[[], S
     """Also where patches have nothing to do with tiles, so that blurred sources lead astray."""
     scene = make()
     built = Poisson().integrate(scene, an_assignment(scene))
-    refined = Poisson().refine(scene, built)
+    refined = STEADY.refine(scene, built)
     before, after = foreseen(scene, built), foreseen(scene, refined)
     same = (refined.heights_mm == built.heights_mm).all(axis=(2, 3))
     assert (after[~same] < before[~same]).all()
     assert refined.metrics["facets_refined"] == pytest.approx(1 - same.mean())
     assert same.mean() < 0.5
+
+
+def test_refined_facets_stand_where_walls_take_least_light(matched: tuple[Scene, HeightField]) -> None:
+    """Their edges and their rays are not those of the lenslets that were placed before."""
+    scene, built = matched
+    level = replace(built, heights_mm=built.heights_mm - built.levels_mm[..., None, None])
+    steady, placed = (strays(scene, stage.refine(scene, level)) for stage in (STEADY, Poisson()))
+    assert placed < 0.5 * steady
+    assert steady > 1e-3
+
+
+def strays(scene: Scene, built: HeightField) -> float:
+    """The share of what the eye sees that arrives elsewhere because the lens's facets stand beside each other."""
+    n, levels = scene.lens.facets, built.levels_mm
+    hits = trace(solid_from_heights(built), scene.lens, scene.views[0], 64 * n, 4).reshape(n, 64, n, 64, -1, 3)
+    lost = 0.0
+    for i, j in np.ndindex(n, n):  # every facet again, with all its neighbours above it
+        high = built.heights_mm - levels[..., None, None] + 2.0
+        high[i, j] = built.heights_mm[i, j]
+        alone = trace(solid_from_heights(replace(built, heights_mm=high)), scene.lens, scene.views[0], 64 * n, 4)
+        alone = alone.reshape(n, 64, n, 64, -1, 3)[i, :, j]
+        lost += float((np.abs(alone - hits[i, :, j])[..., :2].max(axis=-1) > 0.01).mean()) / n**2
+    return lost
 
 
 def test_measures_are_those_of_the_refined_surface(matched: tuple[Scene, HeightField]) -> None:
@@ -168,7 +193,7 @@ def test_a_picture_that_is_shown_perfectly_is_left_as_it_is(light: float) -> Non
     scene = one_view()
     plain = np.full((64, 64, 1), light, np.float32)
     built = rolling(scene)
-    refined = Poisson().refine(replace(scene, views=(replace(scene.views[0], source=plain, target=plain),)), built)
+    refined = STEADY.refine(replace(scene, views=(replace(scene.views[0], source=plain, target=plain),)), built)
     np.testing.assert_array_equal(refined.heights_mm, built.heights_mm)
 
 
@@ -186,7 +211,7 @@ def test_borders_stay_bit_for_bit_where_steps_are_limited(matched: tuple[Scene, 
 def test_a_facet_that_would_leave_the_relief_stays_a_lenslet(matched: tuple[Scene, HeightField]) -> None:
     scene, built = matched
     free, tight = (refined_within(scene, built, relief_mm=relief) for relief in (3.0, 2.0))
-    assert db(foreseen(scene, free)) > 55
+    assert db(foreseen(scene, free)) > 50
     tall = np.abs(free.heights_mm).max(axis=(2, 3)) > 2
     assert tall.any()
     np.testing.assert_array_equal(tight.heights_mm[tall], built.heights_mm[tall])
@@ -195,7 +220,7 @@ def test_a_facet_that_would_leave_the_relief_stays_a_lenslet(matched: tuple[Scen
 
 def refined_within(scene: Scene, built: HeightField, **limits: float) -> HeightField:
     lens = replace(scene.lens, **limits)  # type: ignore[arg-type]
-    return Poisson().refine(replace(scene, lens=lens), replace(built, lens=lens))
+    return STEADY.refine(replace(scene, lens=lens), replace(built, lens=lens))
 
 
 @pytest.mark.parametrize("cells", ["eye", "vertical"])
@@ -282,7 +307,7 @@ class Facet:
         self.scene = showing(replace(scene, views=views), built)
         self.heights = built.heights_mm[1, 2].copy()
         self.centre, self.slab = scene.lens.facet_centres_mm()[1, 2], _slab(scene.lens, built.eye_mm)
-        self.samples = _samples(scene.lens)
+        self.samples = _samples(scene.lens, LOOKS[0])
         self.sights = _sights(self.scene, self.samples.pixels)
         self.triangles, self.channels = 2 * scene.lens.microfacets**2, len(self.sights.plane)
         self.seen = self.look(self.heights)

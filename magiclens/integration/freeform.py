@@ -352,7 +352,7 @@ def refine_facets(heights, centres, samples, sights, slab, metric, free, rounds,
         views = [View(slopes[n], residuals[n], gradients[n]) for n in range(2)]
         step, trial, now = np.zeros((k, k)), heights[f].copy(), 0
         error = _look(trial, centres[f], samples, sights, slab, True, rays, light, views[0])
-        errors[f, 0], damping = error, DAMPING
+        damping = DAMPING
         for _ in range(rounds):
             if not 0.0 < error < np.inf:
                 break
@@ -368,4 +368,4 @@ def refine_facets(heights, centres, samples, sights, slab, metric, free, rounds,
                 damping *= 5
                 if damping > MOST_DAMPING:
                     break
-        errors[f, 1] = error
+        errors[f] = error

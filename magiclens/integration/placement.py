@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from magiclens.artifacts import Assignment, FloatArray, Scene
-from magiclens.facets import EDGE_POINTS, edge_models
+from magiclens.artifacts import FloatArray, Scene
+from magiclens.facets import EDGE_POINTS, cost_of_lost_light
+from magiclens.optics.lenslets import built_drifts
 from magiclens.optics.walls import DOWN, LEFT, RIGHT, UP, sweep
 
 SWEEPS = 60
+SCREENING = 1e-5
 
 
 def edge_profiles(shapes: FloatArray) -> FloatArray:
@@ -23,20 +25,28 @@ def edge_profiles(shapes: FloatArray) -> FloatArray:
     return profiles
 
 
-def place_for_light(
-    scene: Scene, assignment: Assignment, shapes: FloatArray, levels: FloatArray,
-    loss: float, even: float, relief: float,
-) -> FloatArray:
+def place_for_light(scene: Scene, shapes: FloatArray, levels: FloatArray, even: float) -> FloatArray:
     """(N, N) heights of facets that lose least light, by coordinate descent on a convex energy from ``levels``.
 
-    shapes: (N, N, k, k) mm, zero mean. loss, even: see ``optics.walls.settle``. No edge leaves +-relief.
+    shapes: (N, N, k, k) mm, zero mean. even: see ``optics.walls.settle``. No facet that fits leaves the relief.
     """
-    n = scene.lens.facets
-    _, drifts = edge_models(scene, assignment.offsets_mm[:, :, None], assignment.maps[:, :, None])
-    profiles = edge_profiles(shapes)
+    lens, n, k = scene.lens, scene.lens.facets, shapes.shape[2]
+    eyes = np.unique(np.stack([view.in_lens_frame().eye_mm for view in scene.views]).round(9), axis=0)
+    drifts = built_drifts(
+        np.ascontiguousarray(shapes.reshape(-1, k, k)), lens.facet_centres_mm().reshape(-1, 2), scene.reference_eye_mm,
+        eyes, lens.cells == "vertical", (lens.pitch_mm - lens.wall_mm) / (k - 1), lens.thickness_mm, lens.ior,
+    ).reshape(n, n, 1, 4)  # fmt: skip
+    profiles, loss = edge_profiles(shapes), cost_of_lost_light(scene) / lens.pitch_mm
     levels, choice, nothing = levels.copy(), np.zeros((n, n), np.int64), np.zeros((n, n))
+    weights = loss, even, SCREENING, lens.relief_mm
     for _ in range(SWEEPS):
-        moved = sweep(choice, levels, nothing[..., None], profiles, drifts, loss, even, 1e-5, relief, 0.0, nothing)
-        if moved < 1e-4:
+        if sweep(choice, levels, nothing[..., None], profiles, drifts, *weights, 0.0, nothing) < 1e-4:
             break
-    return levels
+    return within(shapes, levels, lens.relief_mm)
+
+
+def within(shapes: FloatArray, levels: FloatArray, relief: float) -> FloatArray:
+    """(N, N) the heights nearest to ``levels`` at which shapes (N, N, k, k) stay within +-relief; 0 if none does."""
+    room = np.maximum(relief - np.abs(shapes).max(axis=(2, 3)), 0.0)
+    held: FloatArray = np.clip(levels, -room, room)
+    return held

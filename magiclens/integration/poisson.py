@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import ClassVar, Literal
 
 from pydantic import Field
@@ -41,8 +42,12 @@ class Poisson(Integrator):
 
     def refine(self, scene: Scene, built: HeightField, progress: Progress = silent) -> HeightField:
         """Move the facets' vertices so that they show their tiles better; borders stay where steps are limited."""
+        from magiclens.integration.placement import place_for_light
         from magiclens.integration.refine import refine
 
         if self.refinement == 0:
             return built
-        return refine(scene, built, self.refinement, self.step_limit is not None, progress)
+        if self.step_limit is not None:
+            return refine(scene, built, self.refinement, progress, locked=True)
+        place = partial(place_for_light, scene, even=self.step_weight) if self.placement == "light" else None
+        return refine(scene, built, self.refinement, progress, place)

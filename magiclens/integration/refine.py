@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from magiclens.artifacts import FloatArray, HeightField, Lens, Scene
+from magiclens.artifacts import BoolArray, FloatArray, HeightField, Lens, Scene
 from magiclens.images import resize, to_display
 from magiclens.integration.freeform import Metric, Samples, Sights, Slab, refine_facets
 from magiclens.integration.measures import measures
@@ -23,37 +23,46 @@ from magiclens.integration.two_level import cosines
 
 BLURS = (0.08, 0.03, 0.0)
 """Blurs of the sources, one after the other, of a facet's width: rays find their way down a blurred edge from afar."""
+LOOKS = (3, 3, 6)
+"""Look-ups of the source along a micro-facet's side, about: what falls between them is shaped by chance."""
 ITERATIONS = 3
 """Of conjugate gradients per step."""
+PERFECT = 1e-7
+"""Mean squared difference of what a facet shows and its tile that is not worth a step."""
 ENOUGH = 3e-3
 """A step that lowers a facet's error by a smaller share is its last."""
 RESOLUTION, FINEST, COARSEST = 512, 1.5, 0.35
 """Pixels along the lens's side in which its picture is compared; pixels per micro-facet, at most and at least."""
-LOOKS = 3
-"""Look-ups of the source along a micro-facet's side, about."""
 DISPLAY = 8192
 """Entries of the table of display values."""
 AT_ONCE = 512
 """Facets between two reports of progress."""
 
+Place = Callable[[FloatArray, FloatArray], FloatArray]
+"""From shapes (N, N, k, k), zero mean, and what they stand at (N, N) to what they shall stand at, mm."""
+
 
 def refine(
-    scene: Scene, built: HeightField, rounds: int, locked: bool, progress: Callable[[float], None]
-) -> HeightField:
-    """A height field whose facets show their tiles better than those of ``built``; none shows its tile worse.
+    scene: Scene, built: HeightField, rounds: int, progress: Callable[[float], None],
+    place: Place | None = None, locked: bool = False,
+) -> HeightField:  # fmt: skip
+    """A height field whose facets show their tiles better than those of ``built``; others keep their shapes.
 
-    At most ``rounds`` Gauss-Newton steps per facet and blur of the sources. locked: the facets' borders stay. A facet
-    that would leave the lens's relief stays as it was.
+    At most ``rounds`` Gauss-Newton steps per facet and blur of the sources. place: facets are raised or lowered so
+    before the last blur, which makes up for what they then show elsewhere. locked: the facets' borders stay. A facet
+    that would leave the lens's relief keeps its shape.
     """
     facets = _Facets(scene, built, locked)
-    first = facets.descend(0.0, 0, lambda done: progress(0.1 * done))[:, 0]
-    for stage, blur in enumerate(BLURS):
-        last = facets.descend(blur, rounds, partial(_tell, progress, stage))[:, 1]
-    worse = ~(last < first) | (np.abs(facets.heights).max(axis=(1, 2)) > scene.lens.relief_mm)
-    given = built.heights_mm.reshape(facets.heights.shape)
-    heights = np.where(worse[:, None, None], given, facets.heights).reshape(built.heights_mm.shape)
-    refined = replace(built, heights_mm=heights)
-    return replace(refined, metrics={**built.metrics, **measures(refined), "facets_refined": float((~worse).mean())})
+    progress(0.1)
+    for stage, (blur, looks) in enumerate(zip(BLURS, LOOKS, strict=True)):
+        if stage == len(BLURS) - 1:
+            facets.keep_better(facets.errors())  # others start from their given shapes again, now with a sharp source
+            if place:
+                facets.stand(place)
+        last = facets.descend(blur, looks, rounds, partial(_tell, progress, stage))
+    refined = facets.keep_better(last)
+    after = replace(built, heights_mm=facets.heights.reshape(built.heights_mm.shape))
+    return replace(after, metrics={**built.metrics, **measures(after), "facets_refined": float(refined.mean())})
 
 
 def foreseen(scene: Scene, built: HeightField) -> FloatArray:
@@ -61,54 +70,82 @@ def foreseen(scene: Scene, built: HeightField) -> FloatArray:
 
     Infinite where a ray does not arrive at all.
     """
-    errors: FloatArray = _Facets(scene, built, locked=False).descend(0.0, 0, lambda _: None)[:, 0]
-    return errors.reshape(built.levels_mm.shape)
+    return _Facets(scene, built, locked=False).first.reshape(built.levels_mm.shape)
 
 
 class _Facets:
-    """The facets of a height field on their way down; ``heights``: (F, k, k) mm."""
+    """The facets of a height field on their way down.
+
+    heights: (F, k, k) mm. first: (F,) mean squared differences, in display values, of what they showed at first and
+    their tiles; infinite where a ray does not arrive. Those that were perfect stay as they are.
+    """
 
     def __init__(self, scene: Scene, built: HeightField, locked: bool):
         k, lens = scene.lens.microfacets + 1, scene.lens
+        self._lens, self._slab, self._centres = lens, _slab(lens, built.eye_mm), lens.facet_centres_mm().reshape(-1, 2)
+        self._samples = {looks: _samples(lens, looks) for looks in LOOKS}
+        finest = self._samples[LOOKS[-1]]
+        self._sights = _sights(scene, finest.pixels)
         matrix, eigenvalues = cosines(k)
-        self._samples, self._slab = _samples(lens), _slab(lens, built.eye_mm)
-        self._sights = _sights(scene, self._samples.pixels)
-        self._metric = Metric(np.ascontiguousarray(matrix), eigenvalues / self._samples.cell_mm**2)
+        self._metric = Metric(np.ascontiguousarray(matrix), eigenvalues / finest.cell_mm**2)
         self._free = np.ones((k, k))
         if locked:
             self._free[[0, -1], :] = self._free[:, [0, -1]] = 0.0
-        self._pitch_mm, self._centres = lens.pitch_mm, lens.facet_centres_mm().reshape(-1, 2)
         self.heights = built.heights_mm.reshape(-1, k, k).copy()
+        self._given, self._amiss = self.heights.copy(), np.arange(len(self.heights))
+        self.first = self.errors()
+        self._amiss = np.flatnonzero(self.first > PERFECT)
 
-    def descend(self, blur: float, rounds: int, progress: Callable[[float], None]) -> FloatArray:
-        """(F, 2) errors before and after at most so many steps with sources blurred by this share of a facet."""
-        sights = _blurred(self._sights, blur * self._pitch_mm)
-        errors = np.zeros((len(self.heights), 2))
-        for first in range(0, len(errors), AT_ONCE):
-            part = slice(first, first + AT_ONCE)
+    def errors(self) -> FloatArray:
+        """(F,) errors as they are; inf for perfect ones."""
+        return self.descend(0.0, LOOKS[-1], 0, lambda _: None)
+
+    def descend(self, blur: float, looks: int, rounds: int, progress: Callable[[float], None]) -> FloatArray:
+        """(F,) errors after at most so many steps; inf for perfect ones. blur: of the sources, of a facet's width."""
+        sights, samples = _blurred(self._sights, blur * self._lens.pitch_mm), self._samples[looks]
+        errors = np.full(len(self.heights), np.inf)
+        for first in range(0, len(self._amiss), AT_ONCE):
+            part = self._amiss[first : first + AT_ONCE]
+            heights, after = self.heights[part], np.zeros(len(part))
             refine_facets(
-                self.heights[part], self._centres[part], self._samples, sights, self._slab, self._metric, self._free,
-                rounds, ITERATIONS, ENOUGH, errors[part],
+                heights, self._centres[part], samples, sights, self._slab, self._metric, self._free,
+                rounds, ITERATIONS, ENOUGH, after,
             )  # fmt: skip
-            progress(min(1.0, (first + AT_ONCE) / len(errors)))
+            self.heights[part], errors[part] = heights, after
+            progress(min(1.0, (first + AT_ONCE) / len(self._amiss)))
         return errors
+
+    def stand(self, place: Place) -> None:
+        """Raise or lower facets, and their given shapes with them, to where ``place`` wants them."""
+        n, k = self._lens.facets, self._lens.microfacets + 1
+        levels = self.heights.mean(axis=(1, 2))
+        shapes = (self.heights - levels[:, None, None]).reshape(n, n, k, k)
+        rise = (place(shapes, levels.reshape(n, n)).ravel() - levels)[:, None, None]
+        rise[np.abs(self._given + rise).max(axis=(1, 2)) > self._lens.relief_mm] = 0.0
+        self.heights, self._given = self.heights + rise, self._given + rise
+
+    def keep_better(self, errors: FloatArray) -> BoolArray:
+        """Give facets their given shapes back unless errors (F,) are lower than at first; (F,) where they are."""
+        better: BoolArray = (errors < self.first) & (np.abs(self.heights).max(axis=(1, 2)) <= self._lens.relief_mm)
+        self.heights = np.where(better[:, None, None], self.heights, self._given)
+        return better
 
 
 def _tell(progress: Callable[[float], None], stage: int, done: float) -> None:
     progress(0.1 + 0.9 * (stage + done) / len(BLURS))
 
 
-def _samples(lens: Lens) -> Samples:
+def _samples(lens: Lens, looks: int) -> Samples:
     m = lens.microfacets
     pixels = round(min(max(RESOLUTION / lens.facets, COARSEST * m), FINEST * m))
-    looks = max(2, round(LOOKS * m / pixels))
-    cell, side = (lens.pitch_mm - lens.wall_mm) / m, pixels * looks
+    per_pixel = max(2, round(looks * m / pixels))
+    cell, side = (lens.pitch_mm - lens.wall_mm) / m, pixels * per_pixel
     at = (np.arange(side) + 0.5) * m / side
     right, down = (a.ravel() for a in np.meshgrid(at, at))
     i, j = down.astype(int), right.astype(int)
     upper = (right - j > down - i).astype(int)
     triangle = 2 * (i * m + j) + upper
-    pixel = np.add.outer(np.arange(side) // looks * pixels, np.arange(side) // looks).ravel()
+    pixel = np.add.outer(np.arange(side) // per_pixel * pixels, np.arange(side) // per_pixel).ravel()
     pairs, pair = np.unique(pixel * (2 * m * m) + triangle, return_inverse=True)
     return Samples(
         cell, pixels, side, triangle, (right - j - (1 + upper) / 3) * cell, (i + (2 - upper) / 3 - down) * cell,

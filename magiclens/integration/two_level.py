@@ -10,11 +10,10 @@ import numpy as np
 from scipy.fft import dct, dctn, idctn
 
 from magiclens.artifacts import Assignment, FloatArray, HeightField, Scene
-from magiclens.facets import cost_of_lost_light
 from magiclens.integration.continuity import limit_steps
 from magiclens.integration.iterate import check_relief, iterate
 from magiclens.integration.measures import measures
-from magiclens.integration.placement import place_for_light
+from magiclens.integration.placement import place_for_light, within
 from magiclens.stages import Progress
 
 if TYPE_CHECKING:
@@ -27,7 +26,6 @@ SETTLING = 3
 def integrate(options: Poisson, scene: Scene, assignment: Assignment, progress: Progress) -> HeightField:
     """See ``Poisson.integrate``."""
     n, k = scene.lens.facets, scene.lens.microfacets + 1
-    loss = cost_of_lost_light(scene) / scene.lens.pitch_mm
     relief = scene.lens.relief_mm
     levels: FloatArray = np.zeros((n, n))
     screening = options.screening
@@ -39,9 +37,8 @@ def integrate(options: Poisson, scene: Scene, assignment: Assignment, progress: 
         if options.placement == "steps" or done < SETTLING:
             levels, screening = place(shapes, screening, relief)
         if options.placement == "light" and done < SETTLING:
-            levels = place_for_light(scene, assignment, shapes, levels, loss, options.step_weight, relief)
-        room = relief - np.abs(shapes).max(axis=(2, 3))
-        return shapes + np.clip(levels, -room, room)[:, :, None, None]
+            levels = place_for_light(scene, shapes, levels, options.step_weight)
+        return shapes + within(shapes, levels, relief)[:, :, None, None]
 
     built = iterate(scene, assignment, solve, options.rounds, options.tolerance, progress)
     return built if options.step_limit is None else _without_cliffs(built, options.step_limit)

@@ -80,6 +80,34 @@ def edge_models(centres, offsets, maps, eye, eyes, vertical, pitch, depth, gap, 
 
 
 @njit(cache=True, parallel=True)
+def built_drifts(shapes, centres, eye, eyes, vertical, cell, depth, ior):
+    """(F, 4) float32: drifts at the edges of facets that have been built, as in ``edge_models``.
+
+    shapes: (F, k, k) heights of vertices, mm, ``cell`` mm apart. Drifts are means over the micro-facets at an edge.
+    """
+    m = shapes.shape[1] - 1
+    drifts = np.zeros((len(shapes), 4), np.float32)
+    half = 0.5 * m * cell
+    for f in prange(len(shapes)):
+        normal = np.zeros(3)
+        for e in range(4):
+            side, outward = e == 0 or e == 2, 1.0 if e < 2 else -1.0
+            for q in range(m):
+                i = q if side else (0 if e == 1 else m - 1)
+                j = (m - 1 if e == 0 else 0) if side else q
+                tl, tr, bl, br = shapes[f, i, j], shapes[f, i, j + 1], shapes[f, i + 1, j], shapes[f, i + 1, j + 1]
+                gu, gv = ((tr - tl) / cell, (tr - br) / cell) if e < 2 else ((br - bl) / cell, (tl - bl) / cell)
+                along = (q + 0.5) * cell - half
+                x = centres[f, 0] + (outward * half if side else along)
+                y = centres[f, 1] + (-along if side else outward * half)
+                nz = 1.0 if vertical else 1.0 - (gu * (x - eye[0]) + gv * (y - eye[1])) / (eye[2] - depth)
+                length = math.sqrt(gu * gu + gv * gv + nz * nz)
+                normal[0], normal[1], normal[2] = -gu / length, -gv / length, nz / length
+                drifts[f, e] += _lost(x, y, side, outward, normal, eye, vertical, eyes, depth, ior) / m
+    return drifts
+
+
+@njit(cache=True, parallel=True)
 def centre_slopes(centres, offsets, maps, eye, depth, gap, ior):
     """(F, K, 2) dz/dx and dz/dy at the facets' centres that show the patches at ``offsets`` (F, K, 2) mm."""
     out = np.zeros(offsets.shape)
