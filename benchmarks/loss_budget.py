@@ -22,8 +22,9 @@ from magiclens.images import score
 from magiclens.integration.refine import foreseen
 from magiclens.matching.predict import bound_psnr_db
 from magiclens.meshing.solid import solid_from_heights
+from magiclens.optics.looks import place
 from magiclens.plan import load_plan
-from magiclens.rendering.trace import picture, place, trace
+from magiclens.rendering.trace import picture, trace
 
 RESOLUTION, SAMPLES = 512, 4
 

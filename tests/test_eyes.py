@@ -168,9 +168,9 @@ def test_the_prediction_for_other_eyes_is_the_traced_picture(turns: int) -> None
         points = [(p[k][lit, :2] / p[k][lit, 2:] - 0.5) * 60.0 for p in (traced, standing, lying)]
         astray, astray_lying = (np.linalg.norm(points[0] - p, axis=-1) for p in points[1:])
         assert lit.mean() > 0.9
-        assert np.median(astray) < 0.03
+        assert np.median(astray) < 0.02
         assert np.quantile(astray, 0.9) < 0.06
-        assert np.quantile(astray_lying, 0.9) > 0.07
+        assert np.quantile(astray_lying, 0.9) > 3 * np.quantile(astray, 0.9)
 
 
 def test_a_lens_that_stands_higher_is_predicted_where_a_tilted_eye_sees_its_facets() -> None:

@@ -10,10 +10,11 @@ from numba import njit, prange
 from magiclens.artifacts import Assignment, FloatArray, Scene, View
 from magiclens.facets import patches_seen
 from magiclens.images import score
+from magiclens.optics.looks import place
 
 
 def predict(
-    scene: Scene, assignment: Assignment, resolution: int = 512, samples: int = 3, heights_mm: FloatArray | None = None
+    scene: Scene, assignment: Assignment, resolution: int = 512, samples: int = 4, heights_mm: FloatArray | None = None
 ) -> list[FloatArray]:
     """One (R, R, C) float32 picture per view, linear light, world frame; samples^2 source look-ups per pixel.
 
@@ -23,7 +24,7 @@ def predict(
 
 
 def predict_view(
-    scene: Scene, assignment: Assignment, view: View, resolution: int = 512, samples: int = 3,
+    scene: Scene, assignment: Assignment, view: View, resolution: int = 512, samples: int = 4,
     heights_mm: FloatArray | None = None,
 ) -> FloatArray:  # fmt: skip
     """(R, R, C) float32: the picture of one view, see ``predict``."""
@@ -74,13 +75,12 @@ def _facet(places, inward, size, x, y):
 def _predict(source, per_mm, landings, maps, places, inward, size, resolution, samples):
     rows, columns, channels = source.shape
     out = np.zeros((resolution, resolution, channels), np.float32)
-    sub = size / (resolution * samples)
+    pixel = size / resolution
     for r in prange(resolution):
         for c in range(resolution):
             for k in range(samples * samples):
-                x = (c * samples + k % samples + 0.5) * sub
-                y = (r * samples + k // samples + 0.5) * sub
-                i, j, u, v = _facet(places, inward, size, x, y)
+                right, down = place(k, samples)
+                i, j, u, v = _facet(places, inward, size, (c + right) * pixel, (r + down) * pixel)
                 at, m = landings[i, j], maps[i, j]
                 if math.isnan(at[0]):
                     continue

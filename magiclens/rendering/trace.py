@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit, prange
 
 from magiclens.artifacts import FloatArray, Lens, Solid, Transport, View
+from magiclens.optics.looks import place
 from magiclens.optics.refraction import refract, transmittance
 from magiclens.rendering.grid import grid_of
 
@@ -288,13 +289,6 @@ def _follow(us, vs, ws, points, cut_eye, plane, vertical, top, floor, eye, qx, q
         else:
             dx, dy, dz = dx + 2.0 * cos_i * nx, dy + 2.0 * cos_i * ny, dz + 2.0 * cos_i * nz
             weight *= 1.0 - share
-
-
-@njit(cache=True)
-def place(k, samples):
-    """Where in its pixel, from the upper left, the k-th of samples^2 lies: the columns of a square grid, turned."""
-    a, b = k % samples, k // samples
-    return (a + (b + 0.5) / samples) / samples, (b + (samples - a - 0.5) / samples) / samples
 
 
 @njit(cache=True, parallel=True)
