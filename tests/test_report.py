@@ -365,7 +365,7 @@ def test_before_and_after_annealing_are_as_the_first_eye_of_all_sees_them() -> N
     tiles = before_after(data).rows[1]
     levels = [np.full((4, 4), -1.0), data.height_field.levels_mm]
     for tile, chosen, heights in zip(tiles, (data.first, data.assignment), levels, strict=True):
-        pictures = predict(data.scene, chosen, SIDE, 3, heights)
+        pictures = predict(data.scene, chosen, SIDE, 4, heights)
         photos = [photograph(picture, view) for picture, view in zip(pictures, views, strict=True)]
         assert tile.caption == f"view: {photos[0].caption}"
         assert np.array_equal(tile.picture, display(photos[0].picture, SIDE))
