@@ -21,13 +21,24 @@ def edge_models(scene: Scene, offsets: FloatArray, maps: FloatArray) -> tuple[Fl
     from magiclens.optics import lenslets
 
     lens, n = scene.lens, scene.lens.facets
-    eyes = np.stack([view.in_lens_frame().eye_mm for view in scene.views])
     profiles, drifts = lenslets.edge_models(
         lens.facet_centres_mm().reshape(-1, 2), *_flat(n, offsets, maps), scene.reference_eye_mm,
-        np.unique(eyes.round(9), axis=0), lens.cells == "vertical", lens.pitch_mm,
+        _eyes(scene), lens.cells == "vertical", lens.pitch_mm,
         lens.thickness_mm, lens.gap_mm, lens.ior, EDGE_POINTS,
     )
     return profiles.reshape(*offsets.shape[:3], 4, EDGE_POINTS), drifts.reshape(*offsets.shape[:3], 4)
+
+
+def built_drifts(scene: Scene, shapes: FloatArray) -> FloatArray:
+    """Outward drifts (N, N, 4) float32 at the edges of facets of shapes (N, N, k, k), mm. See ``optics.walls``."""
+    from magiclens.optics import lenslets
+
+    lens, n, k = scene.lens, scene.lens.facets, shapes.shape[2]
+    drifts: FloatArray = lenslets.built_drifts(
+        np.ascontiguousarray(shapes.reshape(-1, k, k)), lens.facet_centres_mm().reshape(-1, 2), scene.reference_eye_mm,
+        _eyes(scene), lens.cells == "vertical", (lens.pitch_mm - lens.wall_mm) / (k - 1), lens.thickness_mm, lens.ior,
+    )  # fmt: skip
+    return drifts.reshape(n, n, 4)
 
 
 def central_slopes(scene: Scene, offsets: FloatArray) -> FloatArray:
@@ -89,6 +100,12 @@ def cost_of_lost_light(scene: Scene) -> float:
         s, t = to_display(view.source), to_display(view.target)
         total += float((s**2).mean() - 2 * s.mean() * t.mean() + (t**2).mean())
     return total / len(scene.views)
+
+
+def _eyes(scene: Scene) -> FloatArray:
+    """(V, 3) the different eyes of all views, lens frame, mm."""
+    eyes: FloatArray = np.unique(np.stack([view.in_lens_frame().eye_mm for view in scene.views]).round(9), axis=0)
+    return eyes
 
 
 def _flat(n: int, offsets: FloatArray, maps: FloatArray) -> tuple[FloatArray, FloatArray]:

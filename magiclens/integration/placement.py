@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from magiclens.artifacts import FloatArray, Scene
-from magiclens.facets import EDGE_POINTS, cost_of_lost_light
-from magiclens.optics.lenslets import built_drifts
+from magiclens.facets import EDGE_POINTS, built_drifts, cost_of_lost_light
 from magiclens.optics.walls import DOWN, LEFT, RIGHT, UP, sweep
 
 SWEEPS = 60
@@ -30,12 +29,8 @@ def place_for_light(scene: Scene, shapes: FloatArray, levels: FloatArray, even: 
 
     shapes: (N, N, k, k) mm, zero mean. even: see ``optics.walls.settle``. No facet that fits leaves the relief.
     """
-    lens, n, k = scene.lens, scene.lens.facets, shapes.shape[2]
-    eyes = np.unique(np.stack([view.in_lens_frame().eye_mm for view in scene.views]).round(9), axis=0)
-    drifts = built_drifts(
-        np.ascontiguousarray(shapes.reshape(-1, k, k)), lens.facet_centres_mm().reshape(-1, 2), scene.reference_eye_mm,
-        eyes, lens.cells == "vertical", (lens.pitch_mm - lens.wall_mm) / (k - 1), lens.thickness_mm, lens.ior,
-    ).reshape(n, n, 1, 4)  # fmt: skip
+    lens, n = scene.lens, scene.lens.facets
+    drifts = built_drifts(scene, shapes)[:, :, None]
     profiles, loss = edge_profiles(shapes), cost_of_lost_light(scene) / lens.pitch_mm
     levels, choice, nothing = levels.copy(), np.zeros((n, n), np.int64), np.zeros((n, n))
     weights = loss, even, SCREENING, lens.relief_mm
