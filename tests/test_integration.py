@@ -15,6 +15,7 @@ from magiclens.errors import StageError
 from magiclens.facets import EDGE_POINTS, built_drifts, edge_models
 from magiclens.integration.least_squares import LeastSquares
 from magiclens.integration.orientation import edge_rises
+from magiclens.integration.placement import place_for_light
 from magiclens.integration.poisson import Poisson
 from magiclens.integration.two_level import lenslets, place
 from magiclens.meshing.solid import solid_from_heights
@@ -221,6 +222,21 @@ def test_placing_for_light_loses_less_light_than_placing_for_small_steps() -> No
         p: lost_light(scene, assignment, Poisson(placement=p).integrate(scene, assignment)) for p in ("light", "steps")
     }
     assert lost["light"] < 0.8 * lost["steps"]
+
+
+@pytest.mark.parametrize("end", [0, -1])
+def test_a_wall_at_one_end_of_an_edge_is_seen_by_placing(end: int) -> None:
+    """Rays of the left facets drift right: wherever these stand higher, even at a corner alone, light is lost."""
+    lens = small_lens(2, 3.0, microfacets=16)
+    scene = blank_scene(lens)
+    shapes = np.zeros((2, 2, 17, 17))
+    shapes[:, 0] = np.linspace(-0.5, 0.5, 17)
+    shapes[:, 0, end, -1] += 0.3
+    drifts = built_drifts(scene, shapes)
+    assert (drifts[:, 0, RIGHT] > 0).all()
+    assert (drifts[:, 1, LEFT] < 1e-6).all()
+    h = shapes + place_for_light(scene, shapes, np.zeros((2, 2)), 1e-7)[..., None, None]
+    assert (h[:, 0, :, -1] - h[:, 1, :, 0]).max() == pytest.approx(0, abs=1e-3)
 
 
 def lost_light(scene: Scene, assignment: Assignment, heights: HeightField) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from magiclens.artifacts import FloatArray, Scene
-from magiclens.facets import EDGE_POINTS, built_drifts, cost_of_lost_light
+from magiclens.facets import built_drifts, cost_of_lost_light
 from magiclens.optics.walls import DOWN, LEFT, RIGHT, UP, sweep
 
 SWEEPS = 60
@@ -13,15 +13,11 @@ SCREENING = 1e-5
 
 
 def edge_profiles(shapes: FloatArray) -> FloatArray:
-    """(N, N, 1, 4, Q) float32: the edges of shapes (N, N, k, k), interpolated at Q points, as in ``optics.walls``."""
-    edges = np.zeros((*shapes.shape[:2], 4, shapes.shape[2]))
-    edges[:, :, RIGHT], edges[:, :, LEFT] = shapes[:, :, ::-1, -1], shapes[:, :, ::-1, 0]
-    edges[:, :, UP], edges[:, :, DOWN] = shapes[:, :, 0, :], shapes[:, :, -1, :]
-    k = shapes.shape[2]
-    at = (np.arange(EDGE_POINTS) + 0.5) / EDGE_POINTS * (k - 1)
-    weights = np.maximum(1 - np.abs(np.arange(k)[:, None] - at), 0)
-    profiles: FloatArray = (edges @ weights)[:, :, None].astype(np.float32)
-    return profiles
+    """(N, N, 1, 4, k) float32: the edges of shapes (N, N, k, k), vertex by vertex, as in ``optics.walls``."""
+    edges = np.zeros((*shapes.shape[:2], 1, 4, shapes.shape[2]), np.float32)
+    edges[:, :, 0, RIGHT], edges[:, :, 0, LEFT] = shapes[:, :, ::-1, -1], shapes[:, :, ::-1, 0]
+    edges[:, :, 0, UP], edges[:, :, 0, DOWN] = shapes[:, :, 0, :], shapes[:, :, -1, :]
+    return edges
 
 
 def place_for_light(scene: Scene, shapes: FloatArray, levels: FloatArray, even: float) -> FloatArray:
