@@ -246,7 +246,7 @@ def test_a_stable_zone_has_nine_eyes_in_a_circular_cross() -> None:
     assert away[0] == 0
     np.testing.assert_allclose(away[1:5], inner)
     assert np.ptp(away[5:]) < 1e-9
-    assert away[5] > 1.5 * inner
+    assert away[5] / inner == pytest.approx(np.sqrt(2), rel=1e-3)
     np.testing.assert_allclose(steps.sum(axis=0), 0, atol=1e-9)
     np.testing.assert_allclose(steps[:, 2], 0)
     assert (np.abs(steps[1:5, :2]).min(axis=1) == 0).all()
