@@ -63,11 +63,18 @@ class Reopened:
             raise InputError(unknown("view", name, names), "--view")
         return self.scene.views[names.index(name) if name else 0]
 
-    def transport(self, view: View) -> Transport:
-        """The matrix from a source to what this view's eye sees."""
+    def transport(self, name: str | None = None) -> Transport:
+        """The matrix from a source to what a view's eye sees; traced once. Raises InputError, see ``view``."""
         from magiclens.traced import transports
 
-        return transports(replace(self.scene, views=(view,)), self.solid)[0]
+        view = self.view(name)
+        if view.name not in self._traced:
+            self._traced[view.name] = transports(replace(self.scene, views=(view,)), self.solid)[0]
+        return self._traced[view.name]
+
+    @cached_property
+    def _traced(self) -> dict[str, Transport]:
+        return {}
 
     def encode(self, frames: Iterable[FloatArray], name: str | None = None) -> Iterator[FloatArray]:
         """One source (H, W, C) per frame (h, w, C), linear light, that shows it to the view's eye.
@@ -77,7 +84,7 @@ class Reopened:
         step, view = self.plan.encoder, self.view(name)
         if step is None:
             raise InputError("this lens was designed for its source and has no encoder; use a universal lens")
-        transport, rng = self.transport(view), np.random.default_rng(self.plan.spec.seed)
+        transport, rng = self.transport(name), np.random.default_rng(self.plan.spec.seed)
         waiting = iter(frames)
         while batch := list(islice(waiting, BATCH)):
             channels = max(view.source.shape[-1], *(frame.shape[-1] for frame in batch), 1)
@@ -91,7 +98,7 @@ class Reopened:
         """What the view's eye sees, (R, R, C) linear light, of each source (h, w, C)."""
         from magiclens.images import resize, square
 
-        transport = self.transport(self.view(name))
+        transport = self.transport(name)
         medium = self.plan.spec.medium
         fitting = (resize(square(source), transport.source_shape) for source in sources)
         return (transport.see(medium.shown(source) if medium else source) for source in fitting)

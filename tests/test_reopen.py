@@ -49,6 +49,12 @@ def test_a_run_keeps_what_the_reopened_lens_is_made_of(run: Run) -> None:
     np.testing.assert_array_equal(again.faces, run.data.solid.faces)
 
 
+def test_a_lens_is_traced_once_per_view(run: Run) -> None:
+    lens = reopen(run.folder)
+    assert lens.transport("frame-00") is lens.transport()
+    assert lens.transport("frame-01") is not lens.transport()
+
+
 def test_an_animation_comes_with_its_movies(run: Run) -> None:
     for name in ("sources.gif", "sources.mp4", "seen.gif", "seen.mp4"):
         assert len(list(read_frames(run.folder / "animations" / name))) == 2
