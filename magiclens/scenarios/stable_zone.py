@@ -16,8 +16,8 @@ from magiclens.units import Angle
 
 OUTER = math.sqrt(2)
 """The outer cone is so much wider than the inner one. No gap is left between eyes: facets are refined for the eyes, and
-show less well in between. The worst picture within the inner cone of ``specs/stable-zone.yaml`` is 0.8 dB worse
-than its middle one; with 3.5 it is 2.7 dB, and the middle itself 4 dB worse.
+show less well in between. The worst picture within the inner cone of ``specs/stable-zone.yaml`` is 0.6 dB worse
+than its middle one; with 3.5 it is 2.1 dB, and the middle itself 4 dB worse.
 """
 
 
