@@ -50,7 +50,7 @@ def pictures(scene: Scene, built: HeightField, fresnel: bool, unshadowed: Assign
 
 def wanted(scene: Scene, view: View, assignment: Assignment, heights: FloatArray) -> FloatArray:
     """(R, R, S^2, 2) source points, mm, lens frame, at which the view's traced samples should arrive."""
-    lens, patches = scene.lens, patches_seen(scene, assignment, view.in_lens_frame().eye_mm, heights)
+    lens, patches = scene.lens, patches_seen(scene, assignment, view.eye_in_lens_frame_mm, heights)
     right, down = np.array([place(k, SAMPLES) for k in range(SAMPLES**2)]).T
     pixels = np.arange(RESOLUTION)
     columns, rows = np.broadcast_arrays(pixels[:, None] + right, pixels[:, None, None] + down)

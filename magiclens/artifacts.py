@@ -10,7 +10,7 @@ The *lens frame* is glued to the lens; the world frame is the viewer's. They dif
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -102,16 +102,21 @@ class View(_ReadOnly):
         """How many counter-clockwise quarter turns the lens has made."""
         return round(self.rotation_deg / 90.0) % 4
 
+    @property
+    def eye_in_lens_frame_mm(self) -> FloatArray:
+        """(3,) float64: the eye as an observer who turns with the lens sees it."""
+        c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[self.quarter_turns]
+        x, y, z = self.eye_mm
+        return np.array([c * x + s * y, -s * x + c * y, z])
+
     def in_lens_frame(self) -> View:
         """The same view seen by an observer who turns with the lens: rotation 0, images and eye turned back."""
         k = self.quarter_turns
-        c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[k]
-        x, y, z = self.eye_mm
         return View(
             self.name,
             np.ascontiguousarray(np.rot90(self.source, -k)),
             np.ascontiguousarray(np.rot90(self.target, -k)),
-            np.array([c * x + s * y, -s * x + c * y, z]),
+            self.eye_in_lens_frame_mm,
             0.0,
             self.source_name,
             self.target_name,
@@ -133,7 +138,7 @@ class Scene(_ReadOnly):
     @property
     def reference_eye_mm(self) -> FloatArray:
         """(3,) float64, lens frame: the eye along whose rays ``cells: eye`` facets are cut (mean of all eyes)."""
-        eye: FloatArray = np.mean([v.in_lens_frame().eye_mm for v in self.views], axis=0)
+        eye: FloatArray = np.mean([v.eye_in_lens_frame_mm for v in self.views], axis=0)
         return eye
 
 
@@ -262,3 +267,14 @@ class Transport:
         flat = np.ascontiguousarray(source.reshape(pixels, -1), np.float32)
         seen: FloatArray = times(a.indptr, a.indices, a.data, flat).reshape(*self.shape, -1)
         return seen
+
+    def turned(self, quarter_turns: int) -> Transport:
+        """The matrix after so many counter-clockwise quarter turns of lens and eye together; rasters are square."""
+        if quarter_turns % 4 == 0:
+            return self
+        pixels, sources = (
+            np.rot90(np.arange(rows * columns, dtype=np.int32).reshape(rows, columns), turns).ravel()
+            for (rows, columns), turns in ((self.shape, quarter_turns), (self.source_shape, -quarter_turns))
+        )
+        rows = self.matrix[pixels]
+        return replace(self, matrix=type(rows)((rows.data, sources[rows.indices], rows.indptr), rows.shape))

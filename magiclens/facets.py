@@ -104,7 +104,7 @@ def cost_of_lost_light(scene: Scene) -> float:
 
 def _eyes(scene: Scene) -> FloatArray:
     """(V, 3) the different eyes of all views, lens frame, mm."""
-    eyes: FloatArray = np.unique(np.stack([view.in_lens_frame().eye_mm for view in scene.views]).round(9), axis=0)
+    eyes: FloatArray = np.unique(np.stack([view.eye_in_lens_frame_mm for view in scene.views]).round(9), axis=0)
     return eyes
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 import tempfile
@@ -11,12 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
-from magiclens.artifacts import FloatArray, Lens, Solid
+from magiclens.artifacts import FloatArray, Lens, Solid, Transport, View
 from magiclens.errors import InputError
 
 MANIFEST = "manifest.json"
 HEIGHTS = "heights.npz"
 """The top of the finished lens, from which it is traced again without designing it anew."""
+TRANSPORTS = "transports"
+"""Of lenses with an encoder: the matrix of each eye, under the name of its first view; ``scipy.sparse.load_npz``."""
 
 
 @contextmanager
@@ -63,6 +66,27 @@ def load_heights(folder: Path) -> FloatArray:
     with np.load(path) as stored:
         heights: FloatArray = stored["heights_mm"].astype(np.float64)
     return heights
+
+
+def save_transport(transport: Transport, view: View, folder: Path) -> None:
+    """Keep what a view's eye sees of its source, so that other pictures are encoded without tracing."""
+    from scipy.sparse import save_npz
+
+    path = folder / TRANSPORTS / f"{view.name}.npz"
+    path.parent.mkdir(exist_ok=True)
+    save_npz(path, transport.matrix)
+
+
+def load_transport(view: View, folder: Path) -> Transport | None:
+    """None if the folder has none of this view."""
+    path = folder / TRANSPORTS / f"{view.name}.npz"
+    if not path.is_file():
+        return None
+    from scipy.sparse import load_npz
+
+    matrix = load_npz(path)
+    side = math.isqrt(matrix.shape[0])
+    return Transport(matrix, (side, side), (view.source.shape[0], view.source.shape[1]))
 
 
 def _refuse_strangers(out: Path) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from magiclens.artifacts import FloatArray, HeightField, Scene, Solid, Transport, View
 from magiclens.errors import InputError
-from magiclens.folder import HEIGHTS, MANIFEST, load_heights
+from magiclens.folder import HEIGHTS, MANIFEST, load_heights, load_transport
 from magiclens.manifest import refresh_manifest, source_path
 from magiclens.plan import Plan, load_plan
 from magiclens.registry import Registry, blaming
@@ -64,16 +64,21 @@ class Reopened:
         return self.scene.views[names.index(name) if name else 0]
 
     def transport(self, name: str | None = None) -> Transport:
-        """The matrix from a source to what a view's eye sees; traced once. Raises InputError, see ``view``."""
-        from magiclens.traced import transports
+        """The matrix from a source to what a view's eye sees: the one that the run kept, or traced once.
+
+        Raises InputError, see ``view``.
+        """
+        from magiclens.traced import alike, transports
 
         view = self.view(name)
-        if view.name not in self._traced:
-            self._traced[view.name] = transports(replace(self.scene, views=(view,)), self.solid)[0]
-        return self._traced[view.name]
+        first = alike(self.scene, view)
+        if first.name not in self._transports:
+            kept = load_transport(first, self.folder)
+            self._transports[first.name] = kept or transports(replace(self.scene, views=(first,)), self.solid)[0]
+        return self._transports[first.name].turned(view.quarter_turns - first.quarter_turns)
 
     @cached_property
-    def _traced(self) -> dict[str, Transport]:
+    def _transports(self) -> dict[str, Transport]:
         return {}
 
     def encode(self, frames: Iterable[FloatArray], name: str | None = None) -> Iterator[FloatArray]:

@@ -25,7 +25,7 @@ from magiclens.checks import (
     check_solid,
 )
 from magiclens.errors import InputError
-from magiclens.folder import appearing, save_heights
+from magiclens.folder import appearing, save_heights, save_transport
 from magiclens.manifest import (
     Scores,
     manifest,
@@ -210,6 +210,8 @@ def _make(plan: Plan, folder: Path, worker: _Worker) -> RunData:
     scene = _encode(plan, given, matrices, rng, worker)
     _write_pictures(scene, folder)
     save_heights(solid, plan.lens, folder)
+    if matrices:
+        worker.part("matrices", partial(_save_transports, given, matrices, folder))
     for exporter in plan.exporters:
         _export(exporter, scene, solid, folder, worker)
     shown = plan.on_medium(scene)
@@ -390,6 +392,15 @@ def _write_sources(scene: Scene, folder: Path, kept: str = "sources") -> None:
     (folder / kept).mkdir()
     for name, picture in {view.source_name: view.source for view in scene.views}.items():
         write_png(folder / kept / f"{name}.png", picture, len(picture) / scene.lens.source_size_mm)
+
+
+def _save_transports(scene: Scene, matrices: list[Transport], folder: Path) -> None:
+    """Those from which the others follow."""
+    from magiclens.traced import alike
+
+    for view, matrix in zip(scene.views, matrices, strict=True):
+        if alike(scene, view) is view:
+            save_transport(matrix, view, folder)
 
 
 def _export(step: Step[Exporter], scene: Scene, solid: Solid, folder: Path, worker: _Worker) -> None:

@@ -45,20 +45,30 @@ def view_errors(scene: Scene, solid: Solid, view: View) -> FloatArray:
 
 
 def transports(scene: Scene, solid: Solid) -> list[Transport]:
-    """One per view; views that share eye, rotation and source raster share the matrix."""
-    from magiclens.rendering.trace import carried, trace
+    """One per view; views that share eye, rotation and source raster share the matrix.
+
+    Only the first of views that are ``alike`` is traced.
+    """
+    from magiclens.rendering.trace import transport
 
     resolution = scene.lens.facets * math.ceil(LEAST_RESOLUTION / scene.lens.facets)
-    hits: dict[tuple[float, ...], FloatArray] = {}
-    made: dict[tuple[object, ...], Transport] = {}
+    made: dict[tuple[str, int], Transport] = {}
+    found = []
     for view in scene.views:
-        eye = tuple(view.in_lens_frame().eye_mm.tolist())
-        if eye not in hits:
-            hits = {eye: trace(solid, scene.lens, view, resolution, SAMPLES)}
-        if _pose(view) not in made:
-            made[_pose(view)] = carried(hits[eye], scene.lens, view)
-    return [made[_pose(view)] for view in scene.views]
+        first = alike(scene, view)
+        key = first.name, (view.quarter_turns - first.quarter_turns) % 4
+        if first is view:
+            made[key] = transport(solid, scene.lens, view, resolution, SAMPLES)
+        elif key not in made:
+            made[key] = made[first.name, 0].turned(key[1])
+        found.append(made[key])
+    return found
 
 
-def _pose(view: View) -> tuple[object, ...]:
-    return (*view.eye_mm, view.quarter_turns, *view.source.shape[:2])
+def alike(scene: Scene, view: View) -> View:
+    """The scene's first view whose eye is at the same place in the lens frame and whose source has the same raster."""
+    return next(other for other in scene.views if _sight(other) == _sight(view))
+
+
+def _sight(view: View) -> tuple[float, ...]:
+    return (*view.eye_in_lens_frame_mm, *view.source.shape[:2])

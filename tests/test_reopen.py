@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -49,10 +50,15 @@ def test_a_run_keeps_what_the_reopened_lens_is_made_of(run: Run) -> None:
     np.testing.assert_array_equal(again.faces, run.data.solid.faces)
 
 
-def test_a_lens_is_traced_once_per_view(run: Run) -> None:
+def test_frames_share_the_matrix_that_the_run_kept(run: Run, tmp_path: Path) -> None:
     lens = reopen(run.folder)
-    assert lens.transport("frame-00") is lens.transport()
-    assert lens.transport("frame-01") is not lens.transport()
+    assert [path.name for path in (run.folder / "transports").iterdir()] == ["frame-00.npz"]
+    assert lens.transport("frame-01") is lens.transport()
+    assert "solid" not in vars(lens)
+    shutil.copytree(run.folder, tmp_path / "bare", ignore=shutil.ignore_patterns("transports"))
+    traced, source = reopen(tmp_path / "bare"), run.data.scene.views[0].source
+    assert traced.transport("frame-01") is traced.transport()
+    np.testing.assert_allclose(traced.transport().see(source), lens.transport().see(source), atol=0.02)
 
 
 def test_an_animation_comes_with_its_movies(run: Run) -> None:

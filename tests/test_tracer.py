@@ -209,6 +209,19 @@ def test_the_matrix_gives_the_picture_that_is_traced(eye: Eye, turn: float) -> N
     assert 0.3 < seen.mean() < 0.9
 
 
+@pytest.mark.parametrize("turns", [1, 2, 3])
+def test_a_matrix_turns_with_lens_and_eye(turns: int) -> None:
+    lens, solid = random_lens()
+    x, y, z = ASIDE
+    for _ in range(turns):
+        x, y = -y, x
+    views = [View("view", ramps(25), ramps(25), np.array(e), t) for e, t in ((ASIDE, 0.0), ((x, y, z), 90.0 * turns))]
+    first, then = (transport(solid, lens, view, 21, 3) for view in views)
+    np.testing.assert_allclose(first.turned(turns).see(ramps(25)), then.see(ramps(25)), atol=1e-5)
+    np.testing.assert_allclose(then.turned(-turns).see(ramps(25)), first.see(ramps(25)), atol=1e-5)
+    assert np.abs(first.see(ramps(25)) - then.see(ramps(25))).max() > 0.1
+
+
 def test_a_flat_slab_shows_an_f_upright_and_not_mirrored() -> None:
     lens = small_lens(4, source=12.0)
     glyph = letter_f(96)[..., None]

@@ -163,7 +163,7 @@ def _slab(lens: Lens, cut_eye: FloatArray | None) -> Slab:
 
 def _sights(scene: Scene, pixels: int) -> Sights:
     """Views side by side that share an eye in the lens frame; equal sources are kept once."""
-    lens, given = scene.lens, sorted(scene.views, key=lambda view: tuple(view.in_lens_frame().eye_mm.round(6)))
+    lens, given = scene.lens, sorted(scene.views, key=lambda view: tuple(view.eye_in_lens_frame_mm.round(6)))
     views = [view.in_lens_frame() for view in given]
     colours, side = views[0].source.shape[2], max(len(view.source) for view in views)
     names = [(view.source_name, view.quarter_turns) for view in given]

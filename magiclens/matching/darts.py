@@ -94,7 +94,7 @@ class Reach:
 
 def match(options: DartThrowing, scene: Scene, rng: np.random.Generator) -> Candidates:
     """See ``DartThrowing.match``."""
-    eyes = np.array([view.in_lens_frame().eye_mm for view in scene.views])
+    eyes = np.array([view.eye_in_lens_frame_mm for view in scene.views])
     if not np.allclose(eyes, eyes[0]):
         raise InputError("a universal lens needs views that share one eye in the lens frame")
     n, lattice = scene.lens.facets, Lattice.of(scene.lens, options.subdivisions)

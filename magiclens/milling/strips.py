@@ -38,7 +38,7 @@ def seen_in_strips(
     x0, x1, y0, y1 = outer(design)
     x = np.arange(x0, x1, pixel_mm[0])
     floor = design.vertices[top[..., 0].size :]
-    views = {tuple(view.in_lens_frame().eye_mm.tolist()): view for view in scene.views}
+    views = {tuple(view.eye_in_lens_frame_mm.tolist()): view for view in scene.views}
     low, high = float(top[..., 2].min()) - MARGIN_MM, float(top[..., 2].max())
     count = math.ceil(points_of(design, pixel_mm) / STRIP_POINTS)
     hits: dict[tuple[int, tuple[float, ...]], list[FloatArray]] = {}

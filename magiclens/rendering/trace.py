@@ -34,7 +34,7 @@ def trace(
     where whole pixels fit a facet. Transmission is 0 where light is lost.
     """
     grid = grid_of(solid, lens)
-    eye = view.in_lens_frame().eye_mm
+    eye = view.eye_in_lens_frame_mm
     hits: FloatArray = _trace(
         grid.us, grid.vs, grid.ws, grid.points, grid.eye, grid.plane, grid.vertical, float(grid.points[..., 2].max()),
         grid.floor, np.ascontiguousarray(eye),
@@ -52,13 +52,9 @@ def picture(hits: FloatArray, source: FloatArray, source_size_mm: float) -> Floa
 
 def transport(solid: Solid, lens: Lens, view: View, resolution: int, samples: int) -> Transport:
     """The sparse matrix from the view's source (world frame, its own raster) to the picture (world frame)."""
-    return carried(trace(solid, lens, view, resolution, samples), lens, view)
-
-
-def carried(hits: FloatArray, lens: Lens, view: View) -> Transport:
-    """A view's matrix from what ``trace`` found, (R, R, samples^2, 3): bilinear weights times transmission."""
     from scipy.sparse import csr_array
 
+    hits = trace(solid, lens, view, resolution, samples)
     rows, columns = view.source.shape[:2]
     turned = np.ascontiguousarray(np.rot90(hits, view.quarter_turns))
     c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[view.quarter_turns]

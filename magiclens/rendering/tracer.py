@@ -26,7 +26,7 @@ class Tracer(Renderer):
         out = []
         made: dict[tuple[float, ...], FloatArray] = {}
         for done, view in enumerate(scene.views):
-            eye = tuple(view.in_lens_frame().eye_mm.tolist())
+            eye = tuple(view.eye_in_lens_frame_mm.tolist())
             if eye not in made:  # frames of an animation share one
                 made[eye] = trace(solid, scene.lens, view, self.resolution, self.samples)
             seen = picture(made[eye], view.in_lens_frame().source, scene.lens.source_size_mm)

@@ -25,7 +25,7 @@ FINER = 4
 def overlap_map(data: RunData) -> Figure:
     """The heat map in the lens frame, and every source with what no facet sees faded."""
     views, levels = data.scene.views, data.height_field.levels_mm
-    eyes = [tuple(view.in_lens_frame().eye_mm.round(6)) for view in views]
+    eyes = [tuple(view.eye_in_lens_frame_mm.round(6)) for view in views]
     seen_by = {eye: patches_seen(data.scene, data.assignment, np.array(eye), levels) for eye in eyes}
     each = {eye: overlaps(data.scene.lens, patches, FINER * SIDE) for eye, patches in seen_by.items()}
     fine = np.asarray(np.sum(list(each.values()), axis=0))
@@ -52,7 +52,7 @@ def overlap_map(data: RunData) -> Figure:
 
 def _matched(scene: Scene, matched: Assignment) -> Tile:
     """The heat map of a lens whose facets may look anywhere, on a scale of its own, as it sees much more often."""
-    patches = patches_seen(scene, matched, scene.views[0].in_lens_frame().eye_mm)
+    patches = patches_seen(scene, matched, scene.views[0].eye_in_lens_frame_mm)
     fine = overlaps(scene.lens, patches, FINER * SIDE)
     counts = coarse(fine)
     scale = Scale(BLUE_TO_RED, 0.0, float(counts.max()), whole=True)
