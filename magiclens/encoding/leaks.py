@@ -55,7 +55,7 @@ def strayed(seen: csr_array) -> float:
     """The share of all weight that is not that of the facet which draws most from a pixel."""
     own: FloatArray = np.zeros(seen.shape[1])
     np.maximum.at(own, seen.indices, seen.data)
-    return float(1 - own.sum() / max(float(seen.sum(dtype=np.float64)), 1e-30))
+    return max(0.0, float(1 - own.sum() / max(float(seen.sum(dtype=np.float64)), 1e-30)))
 
 
 def _drawn(seen: csr_array) -> FloatArray:
