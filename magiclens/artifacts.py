@@ -78,24 +78,15 @@ class Lens:
         return np.stack(np.broadcast_arrays(c[None, :], -c[:, None]), axis=-1)
 
 
-@dataclass(frozen=True)
-class View(_ReadOnly):
-    """One thing the lens must show: through the lens, this eye sees ``target`` when ``source`` lies below.
+class Seen:
+    """Mixin: from where the lens is seen, and how it is turned.
 
-    source: (H, W, C) float32, linear light, covers ``Lens.source_size_mm`` centred on the lens.
-    target: (H, W, C) float32, linear light, covers the lens's square on the reference plane.
-    C is 1 (grey) or 3 (RGB), the same in every view of a scene. Both are in the world frame.
-    eye_mm: (3,) float64, world frame. rotation_deg: lens rotation, counter-clockwise as the viewer sees it.
-    ``source_name`` and ``target_name`` name the files in the run folder; views may share a source.
+    eye_mm: (3,) float64, world frame. rotation_deg: lens rotation, counter-clockwise as the viewer sees it, in quarter
+    turns.
     """
 
-    name: str
-    source: FloatArray
-    target: FloatArray
     eye_mm: FloatArray
-    rotation_deg: float = 0.0
-    source_name: str = "source"
-    target_name: str = "target"
+    rotation_deg: float
 
     @property
     def quarter_turns(self) -> int:
@@ -108,6 +99,25 @@ class View(_ReadOnly):
         c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[self.quarter_turns]
         x, y, z = self.eye_mm
         return np.array([c * x + s * y, -s * x + c * y, z])
+
+
+@dataclass(frozen=True)
+class View(Seen, _ReadOnly):
+    """One thing the lens must show: through the lens, this eye sees ``target`` when ``source`` lies below.
+
+    source: (H, W, C) float32, linear light, covers ``Lens.source_size_mm`` centred on the lens.
+    target: (H, W, C) float32, linear light, covers the lens's square on the reference plane.
+    C is 1 (grey) or 3 (RGB), the same in every view of a scene. Both are in the world frame.
+    ``source_name`` and ``target_name`` name the files in the run folder; views may share a source.
+    """
+
+    name: str
+    source: FloatArray
+    target: FloatArray
+    eye_mm: FloatArray
+    rotation_deg: float = 0.0
+    source_name: str = "source"
+    target_name: str = "target"
 
     def in_lens_frame(self) -> View:
         """The same view seen by an observer who turns with the lens: rotation 0, images and eye turned back."""
@@ -276,5 +286,6 @@ class Transport:
             np.rot90(np.arange(rows * columns, dtype=np.int32).reshape(rows, columns), turns).ravel()
             for (rows, columns), turns in ((self.shape, quarter_turns), (self.source_shape, -quarter_turns))
         )
-        rows = self.matrix[pixels]
-        return replace(self, matrix=type(rows)((rows.data, sources[rows.indices], rows.indptr), rows.shape))
+        picture = self.matrix[pixels]
+        matrix = type(picture)((picture.data, sources[picture.indices], picture.indptr), picture.shape)
+        return replace(self, matrix=matrix)

@@ -395,7 +395,7 @@ def _write_sources(scene: Scene, folder: Path, kept: str = "sources") -> None:
 
 
 def _save_transports(scene: Scene, matrices: list[Transport], folder: Path) -> None:
-    """Those from which the others follow."""
+    """Keep those of the views that the others are like."""
     from magiclens.traced import alike
 
     for view, matrix in zip(scene.views, matrices, strict=True):

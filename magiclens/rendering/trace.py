@@ -55,11 +55,8 @@ def transport(solid: Solid, lens: Lens, view: View, resolution: int, samples: in
     from scipy.sparse import csr_array
 
     hits = trace(solid, lens, view, resolution, samples)
-    rows, columns = view.source.shape[:2]
-    turned = np.ascontiguousarray(np.rot90(hits, view.quarter_turns))
-    c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[view.quarter_turns]
-    pixels = turned.shape[0] * turned.shape[1]
-    raster = (turned, c, s, rows, columns, columns / lens.source_size_mm)
+    (rows, columns), pixels = view.source.shape[:2], resolution * resolution
+    raster = (hits, rows, columns, columns / lens.source_size_mm)
     pointers = np.zeros(pixels + 1, np.int32)
     nothing = np.zeros(0, np.int32), np.zeros(0, np.float32)
     _gather(*raster, pointers, *nothing)
@@ -67,12 +64,12 @@ def transport(solid: Solid, lens: Lens, view: View, resolution: int, samples: in
     index, share = np.zeros(pointers[-1], np.int32), np.zeros(pointers[-1], np.float32)
     _gather(*raster, pointers, index, share)
     matrix = csr_array((share, index, pointers), shape=(pixels, rows * columns))
-    return Transport(matrix, (turned.shape[0], turned.shape[1]), (rows, columns))
+    return Transport(matrix, (resolution, resolution), (rows, columns)).turned(view.quarter_turns)
 
 
 @njit(cache=True, parallel=True)
-def _gather(hits, c, s, rows, columns, per_mm, pointers, index, share):
-    """Which source pixels each pixel of the picture draws from, and how much; hits: (R, R, S, 3), turned to the world.
+def _gather(hits, rows, columns, per_mm, pointers, index, share):
+    """Which source pixels each pixel of the picture draws from, and how much; hits: (R, R, S, 3), lens frame.
 
     A first call, without room for entries, leaves each picture pixel's number of them in ``pointers[1:]``; with these
     added up, a second call fills ``index`` and ``share``.
@@ -84,8 +81,7 @@ def _gather(hits, c, s, rows, columns, per_mm, pointers, index, share):
             count = 0
             for k in range(samples):
                 weight = hits[i, j, k, 2] / samples
-                x = (c * hits[i, j, k, 0] - s * hits[i, j, k, 1]) * per_mm
-                y = -(s * hits[i, j, k, 0] + c * hits[i, j, k, 1]) * per_mm
+                x, y = hits[i, j, k, 0] * per_mm, -hits[i, j, k, 1] * per_mm
                 if weight == 0.0 or abs(x) > 0.5 * columns or abs(y) > 0.5 * rows:
                     continue
                 x = min(max(x + 0.5 * columns - 0.5, 0.0), columns - 1.001)

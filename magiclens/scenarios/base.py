@@ -9,16 +9,16 @@ from typing import ClassVar
 
 import numpy as np
 
-from magiclens.artifacts import BoolArray, FloatArray, Lens, View
+from magiclens.artifacts import BoolArray, FloatArray, Lens, Seen, View
 from magiclens.scenarios.pictures import Art, Source, Target
 from magiclens.spec.model import Choice, SpecModel, Viewer
 
 
 @dataclass(frozen=True)
-class Shot:
+class Shot(Seen):
     """One view before it has pictures: which source and target, seen from where, at which lens rotation.
 
-    eye_mm: (3,), world frame. Shots of one scenario that have equal ``source_name`` share their source.
+    Shots of one scenario that have equal ``source_name`` share their source.
     """
 
     name: str
@@ -28,13 +28,6 @@ class Shot:
     rotation_deg: float = 0.0
     source_name: str = "source"
     target_name: str = "target"
-
-    @property
-    def eye_in_lens_frame_mm(self) -> FloatArray:
-        """(3,) the eye as an observer who turns with the lens sees it."""
-        x, y, z = self.eye_mm
-        across, up = toward(self.rotation_deg)
-        return np.array([across * x + up * y, across * y - up * x, z])
 
     def __str__(self) -> str:
         x, y, z = self.eye_mm
