@@ -14,7 +14,7 @@ EDGE_POINTS = 4
 
 
 def edge_models(scene: Scene, offsets: FloatArray, maps: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Edge profiles (N, N, K, 4, Q) float32, mm, of zero-mean lenslets, and outward drifts (N, N, K, 4) float32.
+    """Edge profiles, mm, of zero-mean lenslets, and outward drifts, both (N, N, K, 4, Q) float32.
 
     offsets: (N, N, K, 2) mm and maps: (N, N, K, 3), as in ``artifacts.Candidates``. See ``optics.walls``.
     """
@@ -26,11 +26,12 @@ def edge_models(scene: Scene, offsets: FloatArray, maps: FloatArray) -> tuple[Fl
         _eyes(scene), lens.cells == "vertical", lens.pitch_mm,
         lens.thickness_mm, lens.gap_mm, lens.ior, EDGE_POINTS,
     )
-    return profiles.reshape(*offsets.shape[:3], 4, EDGE_POINTS), drifts.reshape(*offsets.shape[:3], 4)
+    shape = *offsets.shape[:3], 4, EDGE_POINTS
+    return profiles.reshape(shape), np.repeat(drifts, EDGE_POINTS, axis=-1).reshape(shape)
 
 
 def built_drifts(scene: Scene, shapes: FloatArray) -> FloatArray:
-    """Outward drifts (N, N, 4) float32 at the edges of facets of shapes (N, N, k, k), mm. See ``optics.walls``."""
+    """Outward drifts (N, N, 4, k) float32 at the edges of facets of shapes (N, N, k, k), mm. See ``optics.walls``."""
     from magiclens.optics import lenslets
 
     lens, n, k = scene.lens, scene.lens.facets, shapes.shape[2]
@@ -38,7 +39,7 @@ def built_drifts(scene: Scene, shapes: FloatArray) -> FloatArray:
         np.ascontiguousarray(shapes.reshape(-1, k, k)), lens.facet_centres_mm().reshape(-1, 2), scene.reference_eye_mm,
         _eyes(scene), lens.cells == "vertical", (lens.pitch_mm - lens.wall_mm) / (k - 1), lens.thickness_mm, lens.ior,
     )  # fmt: skip
-    return drifts.reshape(n, n, 4)
+    return drifts.reshape(n, n, 4, k)
 
 
 def central_slopes(scene: Scene, offsets: FloatArray) -> FloatArray:

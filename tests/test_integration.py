@@ -186,7 +186,7 @@ def test_rays_drift_at_built_edges_as_the_annealer_assumed(cells: str, eye: Eye)
     built = built_drifts(scene, Poisson().integrate(scene, assignment).heights_mm)
     _, drifts = edge_models(scene, assignment.offsets_mm[:, :, None], assignment.maps[:, :, None])
     assert drifts.max() > 0.02
-    np.testing.assert_allclose(built, drifts[:, :, 0], atol=5e-3)
+    np.testing.assert_allclose(built.mean(-1), drifts[:, :, 0].mean(-1), atol=5e-3)
 
 
 def wild(n: int, seed: int, reach: float = 4.0) -> Assignment:
@@ -242,7 +242,7 @@ def test_a_wall_at_one_end_of_an_edge_is_seen_by_placing(end: int) -> None:
 def lost_light(scene: Scene, assignment: Assignment, heights: HeightField) -> float:
     """Area of the strips that walls darken, mm^2: step times drift, on the higher side."""
     _, drifts = edge_models(scene, assignment.offsets_mm[:, :, None], assignment.maps[:, :, None])
-    h, t = heights.heights_mm, drifts[:, :, 0]
+    h, t = heights.heights_mm, drifts[:, :, 0].mean(-1)
     steps_right = (h[:, :-1, :, -1] - h[:, 1:, :, 0]).clip(0), (h[:, 1:, :, 0] - h[:, :-1, :, -1]).clip(0)
     steps_up = (h[1:, :, 0] - h[:-1, :, -1]).clip(0), (h[:-1, :, -1] - h[1:, :, 0]).clip(0)
     across = steps_right[0].mean(-1) * t[:, :-1, RIGHT] + steps_right[1].mean(-1) * t[:, 1:, LEFT]

@@ -186,13 +186,13 @@ def test_rays_drift_toward_the_edges_on_the_side_they_are_bent_to() -> None:
         inside = np.array(offset) / THICK
         outside = (np.array([x, y]) - (40.0, 0.0)) / DISTANCE
         outward = float((inside - outside) @ np.sign([x, y]))
-        assert drifts[0, 0, 0, edge] == pytest.approx(max(outward, 0.0), abs=1e-6)
+        np.testing.assert_allclose(drifts[0, 0, 0, edge], max(outward, 0.0), atol=1e-6)
 
 
 def two_facets(step: float, drift: float, edge: int = RIGHT) -> tuple[FloatArray, ...]:
     """(1 of 2) x 2 facets; the left one is ``step`` higher, all of its rays drift toward one edge."""
     heights, profiles = np.array([[step, 0.0], [0.0, 0.0]]), np.zeros((2, 2, 1, 4, EDGE_POINTS), np.float32)
-    drifts = np.zeros((2, 2, 1, 4), np.float32)
+    drifts = np.zeros((2, 2, 1, 4, EDGE_POINTS), np.float32)
     drifts[0, 0, 0, edge] = drift
     return np.zeros((2, 2), np.int64), heights, np.zeros((2, 2, 1)), profiles, drifts
 
@@ -201,14 +201,14 @@ def two_facets(step: float, drift: float, edge: int = RIGHT) -> tuple[FloatArray
     ("step", "edge", "lost"), [(0.8, RIGHT, 0.8), (0.8, DOWN, 0.8), (0.8, UP, 0.0), (-0.8, RIGHT, 0.0)]
 )
 def test_only_the_higher_side_loses_light_and_only_where_its_rays_drift_to(step: float, edge: int, lost: float) -> None:
-    image, light, even = total_energy(*two_facets(step, 0.1, edge), 2.0, 0.0, 0.0)
+    image, light, even = total_energy(*two_facets(step, 0.1, edge), 2.0, 1.0, 0.0, 0.0)
     assert (image, even) == (0.0, 0.0)
     assert light == pytest.approx(2.0 * 0.1 * lost)
 
 
 def test_every_edge_counts_once_and_both_its_sides_share_the_step() -> None:
     *facets, profiles, drifts = two_facets(0.8, 0.0)
-    _, light, even = total_energy(*facets, profiles, drifts, 2.0, 0.5, 0.25)
+    _, light, even = total_energy(*facets, profiles, drifts, 2.0, 1.0, 0.5, 0.25)
     assert light == 0.0
     assert even == pytest.approx(0.5 * 2 * 0.8**2 + 0.25 * 0.8**2)
 
@@ -221,24 +221,45 @@ def test_lost_light_costs_what_a_random_source_pixel_in_its_place_would() -> Non
         assert cost_of_lost_light(Scene(lens, (grey_view(source, target),))) == pytest.approx(cost, abs=1e-6)
 
 
+@pytest.mark.parametrize(("diagonal", "lost"), [(0.8, 0.8**2), (-0.8, 0.0)])
+def test_light_is_lost_past_a_corner_where_the_diagonal_facet_stands_lower(diagonal: float, lost: float) -> None:
+    """The upper left facet's rays drift right and down, below neighbours that stand as high, to the lower right one."""
+    choice, heights, errors, profiles, drifts = two_facets(0.0, 0.0)
+    heights[1, 1] = -diagonal
+    drifts[0, 0, 0, RIGHT], drifts[0, 0, 0, DOWN] = 0.1, 0.3
+    _, light, _ = total_energy(choice, heights, errors, profiles, drifts, 2.0, 5.0, 0.0, 0.0)
+    assert light == pytest.approx(2.0 * 0.1 * 0.3 * lost / 5.0**2)
+
+
 def random_facet(rng: np.random.Generator) -> tuple[FloatArray, ...]:
-    own, others = rng.uniform(-1, 1, (2, 4, EDGE_POINTS))
-    others[rng.random(4) < 0.3] = np.nan
-    outward, inward = rng.uniform(0, 0.5, (2, 4))
-    return own, outward, others, inward
+    own, outward = rng.uniform(-1, 1, (4, EDGE_POINTS)), rng.uniform(0, 0.5, (4, EDGE_POINTS))
+    around = np.stack([rng.uniform(-1, 1, (4, EDGE_POINTS + 1)), rng.uniform(0, 0.5, (4, EDGE_POINTS + 1))], axis=-1)
+    around[rng.random(4) < 0.3] = np.nan
+    return own, outward, around
 
 
-def cost_at(height: float, facet: tuple[FloatArray, ...], loss: float, even: float, screening: float) -> float:
-    own, outward, others, inward = facet
-    steps = own + height - others
-    lost = np.maximum(steps, 0) * outward[:, None] + np.maximum(-steps, 0) * inward[:, None]
-    return float(np.nansum(loss * lost + even * steps**2) / EDGE_POINTS + screening * height**2)
+def cost_at(
+    height: float, facet: tuple[FloatArray, ...], loss: float, pitch: float, even: float, screening: float
+) -> float:
+    own, outward, around = facet
+    steps = own + height - around[:, :-1, 0]
+    widths = np.maximum(steps, 0) * outward + np.maximum(-steps, 0) * around[:, :-1, 1]
+    ends = [(own[e, p] + own[f, q]) / 2 for e, p, f, q in CORNERS]
+    drifts = [outward[e, p] * outward[f, q] for e, p, f, q in CORNERS]
+    corners = np.array(ends) + height - around[:, -1, 0]
+    areas = np.maximum(corners, 0) ** 2 * drifts + np.maximum(-corners, 0) ** 2 * around[:, -1, 1]
+    edges = np.nansum(loss / pitch * widths + even * steps**2) / EDGE_POINTS
+    return float(edges + np.nansum(loss / pitch**2 * areas) + screening * height**2)
+
+
+CORNERS = ((RIGHT, -1, UP, -1), (UP, 0, LEFT, -1), (LEFT, 0, DOWN, 0), (DOWN, -1, RIGHT, 0))
+"""Two edges each, and at which end of either."""
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_a_facet_settles_where_it_costs_least(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    facet, weights = random_facet(rng), (1.0, rng.choice([0.0, 0.05]), 1e-4)
+    facet, weights = random_facet(rng), (1.0, 1.5, rng.choice([0.0, 0.05]), 1e-4)
     height, cost = settle(*facet, *weights, -1.5, 1.5)
     best = minimize_scalar(cost_at, bounds=(-1.5, 1.5), args=(facet, *weights), method="bounded")
     assert cost == pytest.approx(cost_at(height, facet, *weights), rel=1e-9)
@@ -246,8 +267,8 @@ def test_a_facet_settles_where_it_costs_least(seed: int) -> None:
 
 
 def test_a_facet_settles_within_its_bounds() -> None:
-    flat, far = np.zeros((4, EDGE_POINTS)), np.full((4, EDGE_POINTS), 3.0)
-    height, _ = settle(flat, np.zeros(4), far, np.ones(4), 1.0, 1.0, 0.0, -0.5, 0.5)
+    flat, far = np.zeros((4, EDGE_POINTS)), np.full((4, EDGE_POINTS + 1, 2), 3.0)
+    height, _ = settle(flat, flat, far, 1.0, 1.0, 1.0, 0.0, -0.5, 0.5)
     assert height == pytest.approx(0.5, abs=1e-4)
 
 
@@ -256,9 +277,10 @@ def test_a_facet_settles_within_its_bounds() -> None:
 def test_a_cold_sweep_never_raises_the_energy(seed: int, n: int, labels: int) -> None:
     rng = np.random.default_rng(seed)
     choice, heights = rng.integers(0, labels, (n, n)), rng.uniform(-1, 1, (n, n))
-    errors, drifts = rng.uniform(0, 0.1, (n, n, labels)), rng.uniform(0, 0.4, (n, n, labels, 4)).astype(np.float32)
-    profiles = rng.uniform(-0.5, 0.5, (n, n, labels, 4, EDGE_POINTS)).astype(np.float32)
-    weights = (0.3, 0.02, 1e-4)
+    errors, points = rng.uniform(0, 0.1, (n, n, labels)), (n, n, labels, 4, EDGE_POINTS)
+    drifts = rng.uniform(0, 0.4, points).astype(np.float32)
+    profiles = rng.uniform(-0.5, 0.5, points).astype(np.float32)
+    weights = (0.3, 1.0, 0.02, 1e-4)
     before = total_energy(choice, heights, errors, profiles, drifts, *weights).sum()
     for _ in range(3):
         sweep(choice, heights, errors, profiles, drifts, *weights, 2.0, 0.0, np.zeros((n, n)))

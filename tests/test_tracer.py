@@ -12,7 +12,7 @@ from magiclens.errors import InputError
 from magiclens.facets import edge_models
 from magiclens.integration.poisson import Poisson
 from magiclens.meshing.solid import solid_from_heights
-from magiclens.optics.walls import RIGHT
+from magiclens.optics.walls import DOWN, RIGHT
 from magiclens.rendering.trace import trace, transport
 from magiclens.rendering.tracer import Tracer
 from scenes import (
@@ -429,7 +429,26 @@ def test_the_loss_model_predicts_the_strips_width() -> None:
     seen = hits[row, : count // 2, 0, 0] - samples_mm(lens, count)[row, : count // 2, 0]
     strip = (np.abs(seen - bend) > 1.0).sum() * lens.size_mm / count
     _, drifts = edge_models(scene, chosen[:, :, None], np.ones((2, 2, 1, 3)) * (1, 0, 1))
-    assert strip == pytest.approx(step * drifts[0, 0, 0, RIGHT], abs=0.04)
+    assert strip == pytest.approx(step * drifts[0, 0, 0, RIGHT, 0], abs=0.04)
+
+
+def test_the_loss_model_predicts_what_passes_a_corner() -> None:
+    """Rays that drift right and down, below neighbours that stand higher, to a diagonal facet that stands lower."""
+    lens, count, step, bend = small_lens(2, 6.0, wall_mm=1e-4), 960, 2.0, (5.0, -4.0)
+    view = grey_view(BLANK, BLANK)
+    scene, chosen = blank_scene(lens), np.zeros((2, 2, 2))
+    chosen[0, 0] = bend
+    shape = Poisson(placement="steps").integrate(scene, assigned(chosen, (1, 0, 1))).heights_mm[0, 0]
+    heights = np.full((2, 2, *shape.shape), 2.0)
+    heights[0, 0] = shape - shape[-1, -1]
+    heights[1, 1] = -step
+    seen = trace(solid_from_heights(surface(lens, heights)), lens, view, count, 1)[: count // 2, : count // 2, 0]
+    straight = samples_mm(lens, count)[: count // 2, : count // 2] + bend
+    astray = (np.abs(seen[..., :2] - straight).max(axis=-1) > 1.0) | (seen[..., 2] == 0)
+    _, drifts = edge_models(scene, chosen[:, :, None], np.ones((2, 2, 1, 3)) * (1, 0, 1))
+    area = step**2 * drifts[0, 0, 0, RIGHT, 0] * drifts[0, 0, 0, DOWN, 0]
+    assert area > 0.01
+    assert astray.sum() * (lens.size_mm / count) ** 2 == pytest.approx(area, rel=0.15)
 
 
 def test_cells_along_eye_rays_hide_their_walls_and_keep_their_places() -> None:

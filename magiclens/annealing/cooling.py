@@ -22,8 +22,8 @@ def anneal(
     n = scene.lens.facets
     profiles, drifts = edge_models(scene, candidates.offsets_mm, candidates.maps)
     errors = candidates.errors.astype(np.float64)
-    loss = options.loss_weight * cost_of_lost_light(scene) / scene.lens.pitch_mm
-    terms = (loss, options.step_weight, options.screening)
+    loss = options.loss_weight * cost_of_lost_light(scene)
+    terms = (loss, scene.lens.pitch_mm, options.step_weight, options.screening)
     relief = scene.lens.relief_mm
 
     # the start: everyone's best candidate at its best height

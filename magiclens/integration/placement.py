@@ -27,9 +27,9 @@ def place_for_light(scene: Scene, shapes: FloatArray, levels: FloatArray, even: 
     """
     lens, n = scene.lens, scene.lens.facets
     drifts = built_drifts(scene, shapes)[:, :, None]
-    profiles, loss = edge_profiles(shapes), cost_of_lost_light(scene) / lens.pitch_mm
+    profiles, loss = edge_profiles(shapes), cost_of_lost_light(scene)
     levels, choice, nothing = levels.copy(), np.zeros((n, n), np.int64), np.zeros((n, n))
-    weights = loss, even, SCREENING, lens.relief_mm
+    weights = loss, lens.pitch_mm, even, SCREENING, lens.relief_mm
     for _ in range(SWEEPS):
         if sweep(choice, levels, nothing[..., None], profiles, drifts, *weights, 0.0, nothing) < 1e-4:
             break

@@ -225,6 +225,6 @@ def redraw(reach: Reach, drawn: IntArray, scene: Scene, count: int, sweeps: int,
     shuffle(
         chosen, owner, places, usable, profiles, drifts,
         rng.permuted(np.broadcast_to(np.arange(n * n), (sweeps, n * n)), axis=1), rng.random((sweeps, n * n)),
-        TEMPERATURE, 1 / scene.lens.pitch_mm, STEP_WEIGHT, scene.lens.relief_mm,
+        TEMPERATURE, 1.0, scene.lens.pitch_mm, STEP_WEIGHT, scene.lens.relief_mm,
     )  # fmt: skip
     return np.take_along_axis(hand, chosen.reshape(-1, 1) // 4, 1)[:, 0]

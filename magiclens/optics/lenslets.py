@@ -81,12 +81,12 @@ def edge_models(centres, offsets, maps, eye, eyes, vertical, pitch, depth, gap, 
 
 @njit(cache=True, parallel=True)
 def built_drifts(shapes, centres, eye, eyes, vertical, cell, depth, ior):
-    """(F, 4) float32: drifts at the edges of facets that have been built, as in ``edge_models``.
+    """(F, 4, k) float32: drifts at the vertices of the edges of facets that have been built, as in ``optics.walls``.
 
-    shapes: (F, k, k) heights of vertices, mm, ``cell`` mm apart. Drifts are means over the micro-facets at an edge.
+    shapes: (F, k, k) heights of vertices, mm, ``cell`` mm apart. Drifts are means over the micro-facets at a vertex.
     """
     m = shapes.shape[1] - 1
-    drifts = np.zeros((len(shapes), 4), np.float32)
+    drifts = np.zeros((len(shapes), 4, m + 1), np.float32)
     half = 0.5 * m * cell
     for f in prange(len(shapes)):
         normal = np.zeros(3)
@@ -103,7 +103,10 @@ def built_drifts(shapes, centres, eye, eyes, vertical, cell, depth, ior):
                 nz = 1.0 if vertical else 1.0 - (gu * (x - eye[0]) + gv * (y - eye[1])) / (eye[2] - depth)
                 length = math.sqrt(gu * gu + gv * gv + nz * nz)
                 normal[0], normal[1], normal[2] = -gu / length, -gv / length, nz / length
-                drifts[f, e] += _lost(x, y, side, outward, normal, eye, vertical, eyes, depth, ior) / m
+                drift = _lost(x, y, side, outward, normal, eye, vertical, eyes, depth, ior)
+                low = m - 1 - q if side else q
+                drifts[f, e, low] += drift if low == 0 else 0.5 * drift
+                drifts[f, e, low + 1] += drift if low + 1 == m else 0.5 * drift
     return drifts
 
 

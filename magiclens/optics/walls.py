@@ -3,9 +3,13 @@
 Walls lie along eye rays, so none is seen from outside. Inside the slab a ray drifts sideways; where it drifts toward a
 neighbour whose edge is lower, it meets the wall above that edge and is lost for the picture. An edge of step s and
 outward drift t (mm sideways per mm down) thus darkens a strip of width ``t * s`` on the higher side. Where the
-neighbour is higher, the ray passes on through the solid and nothing is lost: the loss is one-sided.
+neighbour is higher, the ray passes on through the solid and nothing is lost: the loss is one-sided. It may pass on as
+far as the diagonal facet: a corner that is s higher than that one's, with drifts t and u toward both its edges, darkens
+``t * u * s^2``.
 
-Edges are numbered 0: +x (right), 1: +y (up), 2: -x (left), 3: -y (down); profiles run along +x or +y.
+Edges are numbered 0: +x (right), 1: +y (up), 2: -x (left), 3: -y (down); profiles run along +x or +y. Corner e lies
+between edges e and e + 1. ``profiles`` (..., 4, Q) are heights at the points of the edges, mm, relative to the facet's;
+``drifts`` (..., 4, Q) >= 0 are outward, at the same points.
 """
 
 from __future__ import annotations
@@ -24,27 +28,42 @@ def _pull(step, outward, inward, loss, even):
 
 
 @njit(cache=True)
-def settle(own, outward, others, inward, loss, even, screening, low, high):
+def _corner(profile, drift, e):
+    """Height of a facet's corner, and the product of its drifts toward both edges."""
+    f, last = (e + 1) % 4, profile.shape[1] - 1
+    p, q = last if e in (RIGHT, DOWN) else 0, last if e in (RIGHT, UP) else 0
+    return 0.5 * (profile[e, p] + profile[f, q]), drift[e, p] * drift[f, q]
+
+
+@njit(cache=True)
+def settle(own, outward, around, loss, pitch, even, screening, low, high):
     """The height at which a facet costs least, and that cost.
 
-    own: (4, Q) its edge profiles relative to its height. others: (4, Q) heights of the neighbours' edges facing it
-    (nan: none). outward, inward: (4,) drift of own rays toward each edge, of the neighbour's rays toward the same edge.
-    The energy is the mean over an edge's points of ``loss * lost width + even * step^2``, summed over edges, plus
-    ``screening * height^2``. low, high: bounds of the height. The energy is convex, so its derivative is bisected.
+    own: (4, Q) its profiles, outward: (4, Q) its drifts. around: see ``surroundings``. The energy is the mean over an
+    edge's points of ``loss * lost width / pitch + even * step^2``, summed over edges, plus ``loss * lost area /
+    pitch^2`` of corners and ``screening * height^2``. low, high: bounds of the height. The energy is convex, so its
+    derivative is bisected.
     """
     a, b = low, high
     points = own.shape[1]
-    cost = 0.0
+    width, area = loss / pitch, loss / pitch**2
+    c, cost = 0.0, 0.0
     for _ in range(18):
         c = 0.5 * (a + b)
         slope, cost = 2.0 * screening * c, screening * c * c
         for e in range(4):
-            if others[e, 0] != others[e, 0]:
-                continue
-            for q in range(points):
-                energy, pull = _pull(own[e, q] + c - others[e, q], outward[e], inward[e], loss, even)
-                slope += pull / points
-                cost += energy / points
+            if not np.isnan(around[e, 0, 0]):
+                for q in range(points):
+                    step = own[e, q] + c - around[e, q, 0]
+                    energy, pull = _pull(step, outward[e, q], around[e, q, 1], width, even)
+                    slope += pull / points
+                    cost += energy / points
+            if not np.isnan(around[e, points, 0]):
+                height, drift = _corner(own, outward, e)
+                step = height + c - around[e, points, 0]
+                rate = area * (drift if step > 0.0 else around[e, points, 1])
+                slope += 2.0 * rate * step
+                cost += rate * step * step
         if slope > 0.0:
             b = c
         else:
@@ -53,39 +72,47 @@ def settle(own, outward, others, inward, loss, even, screening, low, high):
 
 
 @njit(cache=True)
-def surroundings(i, j, choice, heights, profiles, drifts, others, inward):
-    """Edges that face facet (i, j): ``others`` (4, Q) heights, nan outside the lens, and ``inward`` (4,) drifts."""
-    n = len(choice)
-    others[:] = np.nan
-    inward[:] = 0.0
+def surroundings(i, j, choice, heights, profiles, drifts, around):
+    """What faces facet (i, j) across its edges' points and, last in each row, its corners.
+
+    around: (4, Q + 1, 2) is filled with heights, nan outside the lens, and drifts toward the facet.
+    """
+    n, points = len(choice), profiles.shape[4]
+    around[:] = np.nan
     for e in range(4):
         r = i - 1 if e == UP else (i + 1 if e == DOWN else i)
         c = j + 1 if e == RIGHT else (j - 1 if e == LEFT else j)
         if 0 <= r < n and 0 <= c < n:
             k, facing = choice[r, c], (e + 2) % 4
-            inward[e] = drifts[r, c, k, facing]
-            for q in range(others.shape[1]):
-                others[e, q] = profiles[r, c, k, facing, q] + heights[r, c]
+            for q in range(points):
+                around[e, q, 0] = profiles[r, c, k, facing, q] + heights[r, c]
+                around[e, q, 1] = drifts[r, c, k, facing, q]
+        r = i - 1 if e in (RIGHT, UP) else i + 1
+        c = j + 1 if e in (RIGHT, DOWN) else j - 1
+        if 0 <= r < n and 0 <= c < n:
+            k = choice[r, c]
+            height, drift = _corner(profiles[r, c, k], drifts[r, c, k], (e + 2) % 4)
+            around[e, points, 0], around[e, points, 1] = height + heights[r, c], drift
 
 
 @njit(cache=True, parallel=True)
-def sweep(choice, heights, errors, profiles, drifts, loss, even, screening, relief, temperature, dice):
-    """One heat-bath sweep over all facets, checkerboard order: each draws a candidate, and takes its best height.
+def sweep(choice, heights, errors, profiles, drifts, loss, pitch, even, screening, relief, temperature, dice):
+    """One heat-bath sweep over all facets, no neighbours at once: each draws a candidate, and takes its best height.
 
-    choice: (N, N) int64 and heights: (N, N) mm, updated in place. errors: (N, N, K), inf: no candidate. profiles:
-    (N, N, K, 4, Q) mm; candidates that rise more than relief are out. drifts: (N, N, K, 4) >= 0. dice: (N, N) in
-    [0, 1). Candidate k is drawn with probability proportional to exp(-E_k / temperature); temperature 0 takes the best.
+    choice: (N, N) int64 and heights: (N, N) mm, updated in place. errors: (N, N, K), inf: no candidate. profiles and
+    drifts: (N, N, K, 4, Q); candidates that rise more than relief are out. dice: (N, N) in [0, 1). Candidate k is drawn
+    with probability proportional to exp(-E_k / temperature); temperature 0 takes the best.
     Returns the change of the heights, mm.
     """
     n, _, labels = errors.shape
     moved = np.zeros(n)
-    for colour in range(2):
-        for row in prange(n):
-            i = np.int64(row)  # prange counts unsigned, which would mix with signed numbers to floats
-            others, inward = np.zeros((4, profiles.shape[4])), np.zeros(4)
+    for colour in range(4):
+        for row in prange((n + 1 - colour // 2) // 2):
+            i = 2 * np.int64(row) + colour // 2  # prange counts unsigned, which would mix with signed numbers to floats
+            around = np.zeros((4, profiles.shape[4] + 1, 2))
             energy, level = np.zeros(labels), np.zeros(labels)
-            for j in range((i + colour) % 2, n, 2):
-                surroundings(i, j, choice, heights, profiles, drifts, others, inward)
+            for j in range(colour % 2, n, 2):
+                surroundings(i, j, choice, heights, profiles, drifts, around)
                 best = np.inf
                 for k in range(labels):
                     energy[k] = np.inf
@@ -94,7 +121,7 @@ def sweep(choice, heights, errors, profiles, drifts, loss, even, screening, reli
                         if reach < 0.0:
                             continue
                         level[k], cost = settle(
-                            profiles[i, j, k], drifts[i, j, k], others, inward, loss, even, screening, -reach, reach
+                            profiles[i, j, k], drifts[i, j, k], around, loss, pitch, even, screening, -reach, reach
                         )
                         energy[k] = cost + errors[i, j, k]
                         best = min(best, energy[k])
@@ -120,24 +147,27 @@ def _draw(energy, best, temperature, die):
 
 
 @njit(cache=True, parallel=True)
-def total_energy(choice, heights, errors, profiles, drifts, loss, even, screening):
+def total_energy(choice, heights, errors, profiles, drifts, loss, pitch, even, screening):
     """Image error, light lost at walls, and the even part (step^2 and screening), each summed over the lens."""
-    n = len(choice)
+    n, points = len(choice), profiles.shape[4]
     parts = np.zeros((n, 3))
     for row in prange(n):
         i = np.int64(row)
-        others, inward = np.zeros((4, profiles.shape[4])), np.zeros(4)
+        around = np.zeros((4, points + 1, 2))
         for j in range(n):
             k = choice[i, j]
-            surroundings(i, j, choice, heights, profiles, drifts, others, inward)
+            surroundings(i, j, choice, heights, profiles, drifts, around)
             parts[i, 0] += errors[i, j, k]
             parts[i, 2] += screening * heights[i, j] ** 2
             for e in range(4):
-                if others[e, 0] != others[e, 0]:
-                    continue
-                for q in range(others.shape[1]):
-                    step = profiles[i, j, k, e, q] + heights[i, j] - others[e, q]
-                    # both sides of every edge are visited: count the own loss only, and half of the even part
-                    parts[i, 1] += loss * drifts[i, j, k, e] * max(step, 0.0) / others.shape[1]
-                    parts[i, 2] += 0.5 * even * step * step / others.shape[1]
+                # both sides of every edge and corner are visited: count the own loss only, and half of the even part
+                if not np.isnan(around[e, 0, 0]):
+                    for q in range(points):
+                        step = profiles[i, j, k, e, q] + heights[i, j] - around[e, q, 0]
+                        parts[i, 1] += loss / pitch * drifts[i, j, k, e, q] * max(step, 0.0) / points
+                        parts[i, 2] += 0.5 * even * step * step / points
+                if not np.isnan(around[e, points, 0]):
+                    height, drift = _corner(profiles[i, j, k], drifts[i, j, k], e)
+                    step = height + heights[i, j] - around[e, points, 0]
+                    parts[i, 1] += loss / pitch**2 * drift * max(step, 0.0) ** 2
     return parts.sum(axis=0)
