@@ -27,7 +27,7 @@ def edge_models(scene: Scene, offsets: FloatArray, maps: FloatArray) -> tuple[Fl
         lens.thickness_mm, lens.gap_mm, lens.ior, EDGE_POINTS,
     )
     shape = *offsets.shape[:3], 4, EDGE_POINTS
-    return profiles.reshape(shape), np.repeat(drifts, EDGE_POINTS, axis=-1).reshape(shape)
+    return profiles.reshape(shape), drifts.reshape(shape)
 
 
 def built_drifts(scene: Scene, shapes: FloatArray) -> FloatArray:

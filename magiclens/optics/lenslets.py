@@ -44,15 +44,16 @@ def _lost(x, y, along_x, outward, normal, cut_eye, vertical, eyes, depth, ior):
 
 @njit(cache=True, parallel=True)
 def edge_models(centres, offsets, maps, eye, eyes, vertical, pitch, depth, gap, ior, points):
-    """Edge profiles (F, K, 4, Q) float32, mm, of zero-mean lenslets, and outward drifts (F, K, 4) float32.
+    """Edge profiles, mm, of zero-mean lenslets, and outward drifts, both (F, K, 4, Q) float32.
 
     centres: (F, 2) mm. offsets: (F, K, 2) mm, maps: (F, K, 3), as in ``artifacts.Candidates``. Slopes are taken at the
     centre and the four edge midpoints of each facet, on the plane z = depth; the lenslet between is quadratic. Edges
-    and drifts are those of ``optics.walls``; drifts are means over the ``eyes`` (V, 3), and count walls seen askew.
+    and drifts are those of ``optics.walls``; drifts are equal along an edge, means over the ``eyes`` (V, 3), and count
+    walls seen askew.
     """
     facets, labels, _ = offsets.shape
     profiles = np.zeros((facets, labels, 4, points), np.float32)
-    drifts = np.zeros((facets, labels, 4), np.float32)
+    drifts = np.zeros((facets, labels, 4, points), np.float32)
     half = 0.5 * pitch
     for f in prange(facets):
         s = np.zeros((5, 5))
@@ -69,7 +70,7 @@ def edge_models(centres, offsets, maps, eye, eyes, vertical, pitch, depth, gap, 
             for e in range(4):
                 side, outward = e == 0 or e == 2, 1.0 if e < 2 else -1.0
                 x, y = cx + (outward * half if side else 0.0), cy + (0.0 if side else outward * half)
-                drifts[f, k, e] = _lost(x, y, side, outward, s[e], eye, vertical, eyes, depth, ior)
+                drifts[f, k, e, :] = _lost(x, y, side, outward, s[e], eye, vertical, eyes, depth, ior)
                 for q in range(points):
                     along = ((q + 0.5) / points - 0.5) * pitch
                     u = half if e == 0 else (-half if e == 2 else along)
