@@ -18,6 +18,8 @@ import numpy as np
 from numba import njit, prange
 
 RIGHT, UP, LEFT, DOWN = 0, 1, 2, 3
+DOWNWARD, RIGHTWARD = (0, -1, 0, 1), (1, 0, -1, 0)
+"""Rows and columns from a facet to its neighbour across each edge; to the diagonal facet, those of two edges."""
 
 
 @njit(cache=True, inline="always")
@@ -80,15 +82,13 @@ def surroundings(i, j, choice, heights, profiles, drifts, around):
     n, points = len(choice), profiles.shape[4]
     around[:] = np.nan
     for e in range(4):
-        r = i - 1 if e == UP else (i + 1 if e == DOWN else i)
-        c = j + 1 if e == RIGHT else (j - 1 if e == LEFT else j)
+        r, c = i + DOWNWARD[e], j + RIGHTWARD[e]
         if 0 <= r < n and 0 <= c < n:
             k, facing = choice[r, c], (e + 2) % 4
             for q in range(points):
                 around[e, q, 0] = profiles[r, c, k, facing, q] + heights[r, c]
                 around[e, q, 1] = drifts[r, c, k, facing, q]
-        r = i - 1 if e in (RIGHT, UP) else i + 1
-        c = j + 1 if e in (RIGHT, DOWN) else j - 1
+        r, c = r + DOWNWARD[(e + 1) % 4], c + RIGHTWARD[(e + 1) % 4]
         if 0 <= r < n and 0 <= c < n:
             k = choice[r, c]
             height, drift = _corner(profiles[r, c, k], drifts[r, c, k], (e + 2) % 4)
