@@ -16,14 +16,14 @@ from pathlib import Path
 
 import numpy as np
 
-from magiclens.artifacts import Assignment, FloatArray, HeightField, Scene, View
-from magiclens.facets import patches_seen
+from magiclens.analysis.ideal import bound_psnr_db
+from magiclens.contract.artifacts import Assignment, FloatArray, HeightField, Scene, View
+from magiclens.geometry.facets import patches_seen
+from magiclens.geometry.solid import solid_from_heights
 from magiclens.images import score
 from magiclens.integration.refine import foreseen
-from magiclens.matching.predict import bound_psnr_db
-from magiclens.meshing.solid import solid_from_heights
-from magiclens.optics.looks import place
-from magiclens.plan import load_plan
+from magiclens.kernels.sampling import place
+from magiclens.plan.compile import load_plan
 from magiclens.rendering.trace import picture, trace
 
 RESOLUTION, SAMPLES = 512, 4

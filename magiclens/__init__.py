@@ -6,7 +6,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from magiclens.artifacts import (
+    from magiclens.config.load import load_spec
+    from magiclens.config.model import Spec, Viewer
+    from magiclens.contract.artifacts import (
         Assignment,
         Candidates,
         FloatArray,
@@ -18,20 +20,10 @@ if TYPE_CHECKING:
         Transport,
         View,
     )
-    from magiclens.errors import InputError, MagicLensError, StageError
-    from magiclens.executors import Executor, raising
-    from magiclens.facets import central_slopes
-    from magiclens.hookspecs import CONTRACT, hookimpl
-    from magiclens.images import Score, resize, score, to_display, to_linear
-    from magiclens.matching.exhaustive import Exhaustive
-    from magiclens.matching.polished import polished
-    from magiclens.plan import Plan, load_plan
-    from magiclens.running import Run, run, run_plan, run_spec
-    from magiclens.scenarios.base import Scenario, Shot
-    from magiclens.scenarios.pictures import Source, Target
-    from magiclens.spec.load import load_spec
-    from magiclens.spec.model import Spec, Viewer
-    from magiclens.stages import (
+    from magiclens.contract.errors import InputError, MagicLensError, StageError
+    from magiclens.contract.executors import Executor, raising
+    from magiclens.contract.hookspecs import CONTRACT, hookimpl
+    from magiclens.contract.stages import (
         Annealer,
         Encoder,
         Exporter,
@@ -43,29 +35,37 @@ if TYPE_CHECKING:
         Stage,
         silent,
     )
-    from magiclens.traced import transports
-    from magiclens.units import Angle, Fraction, Length, LengthOrPercent, relative
+    from magiclens.contract.units import Angle, Fraction, Length, LengthOrPercent, relative
+    from magiclens.geometry.facets import central_slopes
+    from magiclens.images import Score, resize, score, to_display, to_linear
+    from magiclens.matching.exhaustive import Exhaustive
+    from magiclens.matching.polished import polished
+    from magiclens.plan.compile import Plan, load_plan
+    from magiclens.rendering.traced import transports
+    from magiclens.running.pipeline import Run, run, run_plan, run_spec
+    from magiclens.scenarios.base import Scenario, Shot
+    from magiclens.scenarios.pictures import Source, Target
 
 __version__ = "0.1.0"
 
 _HOMES = {
-    "artifacts": "Assignment Candidates FloatArray HeightField IntArray Lens Scene Solid Transport View",
-    "errors": "InputError MagicLensError StageError",
-    "executors": "Executor raising",
-    "facets": "central_slopes",
-    "hookspecs": "CONTRACT hookimpl",
+    "config.load": "load_spec",
+    "config.model": "Spec Viewer",
+    "contract.artifacts": "Assignment Candidates FloatArray HeightField IntArray Lens Scene Solid Transport View",
+    "contract.errors": "InputError MagicLensError StageError",
+    "contract.executors": "Executor raising",
+    "contract.hookspecs": "CONTRACT hookimpl",
+    "contract.stages": "Annealer Encoder Exporter Finisher Integrator Matcher Progress Renderer Stage silent",
+    "contract.units": "Angle Fraction Length LengthOrPercent relative",
+    "geometry.facets": "central_slopes",
     "images": "Score resize score to_display to_linear",
     "matching.exhaustive": "Exhaustive",
     "matching.polished": "polished",
-    "plan": "Plan load_plan",
-    "running": "Run run run_plan run_spec",
+    "plan.compile": "Plan load_plan",
+    "rendering.traced": "transports",
+    "running.pipeline": "Run run run_plan run_spec",
     "scenarios.base": "Scenario Shot",
     "scenarios.pictures": "Source Target",
-    "spec.load": "load_spec",
-    "spec.model": "Spec Viewer",
-    "stages": "Annealer Encoder Exporter Finisher Integrator Matcher Progress Renderer Stage silent",
-    "traced": "transports",
-    "units": "Angle Fraction Length LengthOrPercent relative",
 }
 _HOME_OF = {name: f"magiclens.{home}" for home, names in _HOMES.items() for name in names.split()}
 

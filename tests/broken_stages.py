@@ -13,7 +13,8 @@ import numpy as np
 from pydantic import field_serializer
 
 from magiclens.annealing.metropolis import Metropolis
-from magiclens.artifacts import (
+from magiclens.config.model import Viewer
+from magiclens.contract.artifacts import (
     Assignment,
     Candidates,
     FloatArray,
@@ -24,15 +25,14 @@ from magiclens.artifacts import (
     Transport,
     View,
 )
-from magiclens.fabrication.mesh_files import Stl
+from magiclens.contract.stages import Encoder, Progress, silent
+from magiclens.exporting.mesh_files import Stl
 from magiclens.images import resize
 from magiclens.integration.poisson import Poisson
 from magiclens.matching.exhaustive import Exhaustive
 from magiclens.meshing.finish import Pymeshlab
 from magiclens.rendering.tracer import Tracer
 from magiclens.scenarios.single import Single
-from magiclens.spec.model import Viewer
-from magiclens.stages import Encoder, Progress, silent
 from magiclens.testing import (
     AnnealerContract,
     ArtContract,

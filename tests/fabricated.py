@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from magiclens.artifacts import FloatArray, HeightField, IntArray, Lens, Scene, Solid, View
-from magiclens.meshing.solid import solid_from_heights
-from magiclens.stages import Exporter
+from magiclens.contract.artifacts import FloatArray, HeightField, IntArray, Lens, Scene, Solid, View
+from magiclens.contract.stages import Exporter
+from magiclens.geometry.solid import solid_from_heights
 
 Eye = tuple[float, float, float] | None
 LENS = Lens(size_mm=10.0, source_size_mm=10.0, facets=3, microfacets=4, thickness_mm=8.0, wall_mm=0.002)

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from fabricated import LENS, written
-from magiclens.artifacts import FloatArray, HeightField, Lens, Solid
-from magiclens.meshing.solid import solid_from_heights
+from magiclens.contract.artifacts import FloatArray, HeightField, Lens, Solid
+from magiclens.geometry.solid import solid_from_heights
 from magiclens.milling.cutter import Cutter
 from magiclens.milling.exporter import Milling
-from magiclens.milling.machining import Machined, find_programs, simulate
+from magiclens.simulation.machining import Machined, find_programs, simulate
 
 BALL: dict[str, Any] = {"shape": "ball", "diameter": "1mm"}
 FLAT: dict[str, Any] = {"shape": "flat", "diameter": "1mm"}

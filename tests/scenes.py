@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from magiclens.artifacts import Assignment, Candidates, FloatArray, HeightField, Lens, Scene, View
+from magiclens.contract.artifacts import Assignment, Candidates, FloatArray, HeightField, Lens, Scene, View
 from magiclens.images import to_linear
 
 THICK, DISTANCE, IOR = 40.0, 400.0, 1.49

@@ -10,11 +10,11 @@ import pytest
 
 from magiclens.annealing.heat_bath import HeatBath
 from magiclens.annealing.metropolis import Metropolis
-from magiclens.artifacts import Assignment, Candidates, FloatArray, IntArray, Scene
-from magiclens.errors import StageError
+from magiclens.contract.artifacts import Assignment, Candidates, FloatArray, IntArray, Scene
+from magiclens.contract.errors import StageError
+from magiclens.contract.stages import Annealer
 from magiclens.integration.poisson import Poisson
 from magiclens.optics.refraction import facet_normal
-from magiclens.stages import Annealer
 from scenes import ABOVE, IOR, THICK, assigned, blank_scene, choices, small_lens
 
 N = 8

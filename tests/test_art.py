@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import label
 
-from magiclens.errors import InputError
+from magiclens.contract.errors import InputError
 from magiclens.images import ART, FloatArray, art, resize, to_display
 from magiclens.images.raster import coverage, draw
 from magiclens.images.vector import (

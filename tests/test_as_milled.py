@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 
 from fabricated import Eye, bumpy, flat
-from magiclens.artifacts import FloatArray, HeightField, Lens, Solid
-from magiclens.fabrication.relief import top_relief
-from magiclens.meshing.solid import solid_from_heights
+from magiclens.contract.artifacts import FloatArray, HeightField, Lens, Solid
+from magiclens.geometry.columns import top_relief
+from magiclens.geometry.solid import solid_from_heights
 from magiclens.meshing.validation import validate
 from magiclens.milling import strips
 from magiclens.milling.border import outer, top_of
-from magiclens.milling.machining import reachable_surface
-from magiclens.milling.milled import COARSE_MM, milled
-from magiclens.preflight.as_made import as_made
 from magiclens.profiles.machines import Mill, machines
 from magiclens.rendering.tracer import Tracer
+from magiclens.simulation.as_made import as_made
+from magiclens.simulation.machining import reachable_surface
+from magiclens.simulation.milled import COARSE_MM, milled
 from milled import BALL, FLAT, V, cutter, waves
 from milled import WAVES as SMALL
 from test_printed import scene_of

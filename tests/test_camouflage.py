@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
-from magiclens.artifacts import FloatArray
+from magiclens.contract.artifacts import FloatArray
 from magiclens.images import to_display
 from magiclens.images.files import write_png
 from magiclens.scenarios.camouflage import Camouflage

@@ -15,7 +15,7 @@ from jsonschema import Draft7Validator
 from typer.testing import CliRunner, Result
 
 from magiclens.cli import app
-from magiclens.registry import Plugin, Registry
+from magiclens.plan.registry import Plugin, Registry
 from toys import SpecWriter, ToyMatcher, plugin_of
 
 HEAVY = {"numba", "scipy", "mitsuba", "pymeshlab", "matplotlib", "skimage"}

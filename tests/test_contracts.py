@@ -14,13 +14,13 @@ from broken_stages import EXPECTED
 from magiclens.annealing.heat_bath import HeatBath
 from magiclens.annealing.metropolis import Metropolis
 from magiclens.encoding.least_squares import LeastSquares as Encoding
-from magiclens.fabrication.gltf import Glb
-from magiclens.fabrication.height_map import HeightMap
-from magiclens.fabrication.mesh_files import Obj, Ply, Stl
-from magiclens.fabrication.monitor import Monitor
-from magiclens.fabrication.sheet import Sheet
-from magiclens.fabrication.slices import Slices
-from magiclens.fabrication.three_mf import ThreeMf
+from magiclens.exporting.gltf import Glb
+from magiclens.exporting.height_map import HeightMap
+from magiclens.exporting.mesh_files import Obj, Ply, Stl
+from magiclens.exporting.monitor import Monitor
+from magiclens.exporting.sheet import Sheet
+from magiclens.exporting.slices import Slices
+from magiclens.exporting.three_mf import ThreeMf
 from magiclens.images.art import ART
 from magiclens.integration.least_squares import LeastSquares
 from magiclens.integration.poisson import Poisson

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from magiclens.artifacts import BoolArray, Candidates, Lens, Scene, View
-from magiclens.errors import InputError
+from magiclens.contract.artifacts import BoolArray, Candidates, Lens, Scene, View
+from magiclens.contract.errors import InputError
 from magiclens.matching.dart_throwing import DartThrowing
 from magiclens.matching.darts import draw
 

@@ -12,15 +12,15 @@ from markdown_it import MarkdownIt
 from typer.testing import CliRunner
 
 from magiclens.cli import app
-from magiclens.gallery.docs import inline, slug
-from magiclens.gallery.drawings import DRAWINGS, PX_PER_MM, _one_facet, _seen_by
-from magiclens.gallery.listed import load_gallery
-from magiclens.gallery.options import model_tables, takes
+from magiclens.config.model import LensSpec
+from magiclens.contract.stages import KINDS
 from magiclens.images.art import ART
 from magiclens.images.files import write_png
-from magiclens.registry import STAGE, Registry
-from magiclens.spec.model import LensSpec
-from magiclens.stages import KINDS
+from magiclens.plan.registry import STAGE, Registry
+from magiclens.web.gallery.docs import inline, slug
+from magiclens.web.gallery.drawings import DRAWINGS, PX_PER_MM, _one_facet, _seen_by
+from magiclens.web.gallery.listed import load_gallery
+from magiclens.web.gallery.options import model_tables, takes
 
 ROOT = Path(__file__).parent.parent
 PAGES = sorted((ROOT / "docs").rglob("*.md"))

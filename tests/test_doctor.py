@@ -12,8 +12,8 @@ from typer.testing import CliRunner
 
 from magiclens import doctor
 from magiclens.cli import app
-from magiclens.doctor import Finding, as_text, examine, unfit
-from magiclens.registry import Plugin, Registry
+from magiclens.cli.doctor import Finding, as_text, examine, unfit
+from magiclens.plan.registry import Plugin, Registry
 
 
 @pytest.fixture(autouse=True)

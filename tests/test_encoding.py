@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array, eye_array
 
-from magiclens.artifacts import BoolArray, FloatArray, Scene, Transport, View
-from magiclens.encoding.leaks import leaks
+from magiclens.analysis.leaks import leaks
+from magiclens.contract.artifacts import BoolArray, FloatArray, Scene, Transport, View
 from magiclens.encoding.least_squares import LeastSquares
 from magiclens.images import to_display
 from test_darts import LENS
@@ -35,7 +35,7 @@ def shuffled(seed: int = 0) -> Transport:
 PRODUCT = """
 import hashlib
 import numpy as np
-from magiclens.optics.sparse import times
+from magiclens.kernels.sparse import times
 rng = np.random.default_rng(0)
 rows, each = 512, 60
 pointers, columns = np.arange(rows + 1, dtype=np.int32) * each, rng.integers(0, rows, rows * each).astype(np.int32)

@@ -9,10 +9,10 @@ import pytest
 import trimesh
 
 from magiclens import load_plan, run_spec
-from magiclens.artifacts import Assignment
+from magiclens.contract.artifacts import Assignment
+from magiclens.geometry.solid import solid_from_heights
 from magiclens.images import read_image, score
 from magiclens.integration.poisson import Poisson
-from magiclens.meshing.solid import solid_from_heights
 from magiclens.rendering.mitsuba import Mitsuba
 from magiclens.rendering.tracer import Tracer
 

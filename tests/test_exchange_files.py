@@ -13,15 +13,15 @@ import pytest
 from PIL import Image
 
 from fabricated import EYE, LENS, box, bumpy, flat, written
-from magiclens.artifacts import FloatArray, Lens, Scene, Solid
-from magiclens.errors import InputError
-from magiclens.fabrication.digits import text_rows
-from magiclens.fabrication.gltf import Glb
-from magiclens.fabrication.height_map import HeightMap
-from magiclens.fabrication.mesh_files import Stl
-from magiclens.fabrication.relief import top_relief
-from magiclens.fabrication.three_mf import ThreeMf
-from magiclens.stages import Exporter
+from magiclens.contract.artifacts import FloatArray, Lens, Scene, Solid
+from magiclens.contract.errors import InputError
+from magiclens.contract.stages import Exporter
+from magiclens.exporting.digits import text_rows
+from magiclens.exporting.gltf import Glb
+from magiclens.exporting.height_map import HeightMap
+from magiclens.exporting.mesh_files import Stl
+from magiclens.exporting.three_mf import ThreeMf
+from magiclens.geometry.columns import top_relief
 
 MICROMETRE = 1e-3
 EXPORTERS = [ThreeMf(), Glb(), HeightMap()]
@@ -147,7 +147,7 @@ def test_3mf_in_many_pieces_is_the_same(tmp_path: Path, monkeypatch: pytest.Monk
     path = written(ThreeMf(), tmp_path, bumpy())
     model = ZipFile(path).read("3D/3dmodel.model")
     assert {info.date_time for info in ZipFile(path).infolist()} == {(1980, 1, 1, 0, 0, 0)}
-    monkeypatch.setattr("magiclens.fabrication.three_mf.CHUNK", 7)
+    monkeypatch.setattr("magiclens.exporting.three_mf.CHUNK", 7)
     assert ZipFile(written(ThreeMf(), tmp_path, bumpy())).read("3D/3dmodel.model") == model
 
 

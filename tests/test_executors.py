@@ -12,11 +12,11 @@ from types import SimpleNamespace
 import pytest
 
 from magiclens import builtin
-from magiclens.errors import InputError, StageError
-from magiclens.executors import Executor, Processes, Serial, cores, raising, threads_each
-from magiclens.hookspecs import hookimpl
-from magiclens.registry import EXECUTOR, Plugin, Registry
-from magiclens.tasks import choose_executor
+from magiclens.contract.errors import InputError, StageError
+from magiclens.contract.executors import Executor, Processes, Serial, cores, raising, threads_each
+from magiclens.contract.hookspecs import hookimpl
+from magiclens.plan.registry import EXECUTOR, Plugin, Registry
+from magiclens.running.jobs import choose_executor
 
 
 def later_when_small(number: int) -> int:

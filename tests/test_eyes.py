@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from magiclens.artifacts import Assignment, FloatArray, HeightField, Scene, View
-from magiclens.facets import edge_models, patches_seen
+from magiclens.analysis.ideal import predict
+from magiclens.contract.artifacts import Assignment, FloatArray, HeightField, Scene, View
+from magiclens.geometry.facets import edge_models, patches_seen
+from magiclens.geometry.solid import solid_from_heights
 from magiclens.integration.orientation import edge_rises
 from magiclens.integration.two_level import lenslets
-from magiclens.matching.predict import predict
-from magiclens.meshing.solid import solid_from_heights
 from magiclens.optics.eyes import FLAT, LANDING, MAP, PLACE, SHEAR, SIGHT, SPAN, local_map, sight, sights
 from magiclens.optics.refraction import facet_normal
 from magiclens.optics.walls import DOWN, LEFT, RIGHT, UP

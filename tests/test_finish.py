@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from magiclens.artifacts import FloatArray, HeightField, IntArray, Lens, Scene, Solid
-from magiclens.errors import StageError
+from magiclens.contract.artifacts import FloatArray, HeightField, IntArray, Lens, Scene, Solid
+from magiclens.contract.errors import StageError
 from magiclens.meshing.finish import Pymeshlab
 from magiclens.meshing.intersections import _is_star, cannot_cut_itself, faces_that_cut
 from magiclens.meshing.validation import (
@@ -31,7 +31,7 @@ EYES = {"eye": (0.0, 0.0, THICK + 60.0), "eye aside": (20.0, -7.0, THICK + 60.0)
 
 def lens_solid(eye: tuple[float, float, float] | None = EYES["eye"], relief: float = 0.4, seed: int = 3) -> Solid:
     """A slab whose facets are tilted, curved lenslets with steps between them."""
-    from magiclens.meshing.solid import solid_from_heights
+    from magiclens.geometry.solid import solid_from_heights
 
     rng = np.random.default_rng(seed)
     x = np.linspace(-0.5, 0.5, M + 1)

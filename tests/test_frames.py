@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from magiclens.artifacts import FloatArray
-from magiclens.errors import InputError
-from magiclens.frames import convert
+from magiclens.contract.artifacts import FloatArray
+from magiclens.contract.errors import InputError
+from magiclens.images.convert import convert
 from magiclens.images.files import read_image, write_png
 from magiclens.images.movies import frame_rate, read_frames, write_gif
 

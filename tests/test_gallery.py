@@ -19,11 +19,11 @@ from typer.testing import CliRunner
 
 from browsers import chromium, listen, served
 from magiclens.cli import app
-from magiclens.errors import InputError
-from magiclens.gallery.listed import load_gallery
+from magiclens.contract.errors import InputError
+from magiclens.contract.stages import KINDS
+from magiclens.plan.registry import ART, SCENARIO, STAGE, Plugin, Registry
 from magiclens.profiles.machines import machines
-from magiclens.registry import ART, SCENARIO, STAGE, Plugin, Registry
-from magiclens.stages import KINDS
+from magiclens.web.gallery.listed import load_gallery
 from toys import SPEC, ToyMatcher, plugin_of
 
 ROOT = Path(__file__).parent.parent
@@ -79,7 +79,7 @@ def build(tmp_path: Path, registry: Registry, monkeypatch: pytest.MonkeyPatch, t
     """Builds the gallery of two toy lenses; ``made`` collects which were run."""
     monkeypatch.setattr(Registry, "load", lambda: registry)
     monkeypatch.setattr("magiclens.report.write.write_report", _report)
-    monkeypatch.setattr("magiclens.gallery.build.reference", lambda *_: [])
+    monkeypatch.setattr("magiclens.web.gallery.build.reference", lambda *_: [])
     for name, text in (("gallery.yaml", LIST), ("toy.yaml", SPEC), ("page.md", PAGE)):
         (tmp_path / name).write_text(text, encoding="utf-8")
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from magiclens.errors import InputError
+from magiclens.contract.errors import InputError
 from magiclens.images import (
     COLOURED,
     FloatArray,

@@ -10,17 +10,17 @@ import pytest
 from pydantic import ValidationError
 from scipy.optimize import brentq
 
-from magiclens.artifacts import Assignment, FloatArray, HeightField, Lens, Scene, Solid
-from magiclens.errors import StageError
-from magiclens.facets import EDGE_POINTS, built_drifts, edge_models
+from magiclens.contract.artifacts import Assignment, FloatArray, HeightField, Lens, Scene, Solid
+from magiclens.contract.errors import StageError
+from magiclens.contract.stages import Integrator
+from magiclens.geometry.facets import EDGE_POINTS, built_drifts, edge_models
+from magiclens.geometry.solid import solid_from_heights
 from magiclens.integration.least_squares import LeastSquares
 from magiclens.integration.orientation import edge_rises
 from magiclens.integration.placement import place_for_light
 from magiclens.integration.poisson import Poisson
 from magiclens.integration.two_level import lenslets, place
-from magiclens.meshing.solid import solid_from_heights
 from magiclens.optics.walls import DOWN, LEFT, RIGHT, UP
-from magiclens.stages import Integrator
 from scenes import ABOVE, ASIDE, IOR, THICK, Eye, assigned, blank_scene, small_lens
 
 SLOPES = {

@@ -11,8 +11,11 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from magiclens.artifacts import Assignment, Candidates, FloatArray, Lens, Scene, View
-from magiclens.errors import InputError
+from magiclens.analysis.ideal import predict
+from magiclens.contract.artifacts import Assignment, Candidates, FloatArray, Lens, Scene, View
+from magiclens.contract.errors import InputError
+from magiclens.contract.stages import Matcher, silent
+from magiclens.geometry.solid import solid_from_heights
 from magiclens.images import to_display, to_linear
 from magiclens.integration.poisson import Poisson
 from magiclens.matching import raster as rasters
@@ -21,12 +24,9 @@ from magiclens.matching.driver import Pool, search_all
 from magiclens.matching.exhaustive import Exhaustive
 from magiclens.matching.multi_view import MultiView
 from magiclens.matching.polish import blur_levels
-from magiclens.matching.predict import predict
-from magiclens.meshing.solid import solid_from_heights
 from magiclens.optics.refraction import facet_normal
+from magiclens.rendering.traced import facet_errors
 from magiclens.rendering.tracer import Tracer
-from magiclens.stages import Matcher, silent
-from magiclens.traced import facet_errors
 from scenes import (
     ABOVE,
     ASIDE,

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from magiclens.artifacts import FloatArray
-from magiclens.errors import InputError
+from magiclens.config.model import Medium
+from magiclens.contract.artifacts import FloatArray
+from magiclens.contract.errors import InputError
 from magiclens.images import read_image, score
-from magiclens.plan import Plan, describe, load_plan
-from magiclens.registry import Registry
-from magiclens.reopen import reopen
-from magiclens.running import Run, run_spec
-from magiclens.spec.model import Medium
+from magiclens.plan.compile import Plan, describe, load_plan
+from magiclens.plan.registry import Registry
+from magiclens.running.pipeline import Run, run_spec
+from magiclens.running.reopen import reopen
 from toys import SpecWriter
 
 SPEC = """\

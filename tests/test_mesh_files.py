@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from magiclens.artifacts import FloatArray, HeightField, Lens, Scene, Solid
-from magiclens.fabrication.mesh_files import Obj, Ply, Stl
-from magiclens.meshing.solid import solid_from_heights
-from magiclens.stages import Exporter
+from magiclens.contract.artifacts import FloatArray, HeightField, Lens, Scene, Solid
+from magiclens.contract.stages import Exporter
+from magiclens.exporting.mesh_files import Obj, Ply, Stl
+from magiclens.geometry.solid import solid_from_heights
 
 LENS = Lens(size_mm=10.0, facets=3, microfacets=4, thickness_mm=8.0, wall_mm=0.002)
 EXPORTERS = [Stl(), Ply(), Obj()]

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 
 from fabricated import EYE, LENS, Eye, bumpy, flat
-from magiclens.artifacts import FloatArray, Solid
-from magiclens.fabrication.relief import top_relief
+from magiclens.contract.artifacts import FloatArray, Solid
+from magiclens.geometry.columns import top_relief
 from magiclens.milling.border import inner, outer, top_of
 from magiclens.milling.cutter import Cutter, scallop_mm
 from magiclens.milling.gcode import Gcode
-from magiclens.milling.machining import find_programs, machined_surface, reachable_surface, simulate
 from magiclens.milling.offset import Contacts
 from magiclens.milling.rml import Rml
 from magiclens.milling.sweep import swept
+from magiclens.simulation.machining import find_programs, machined_surface, reachable_surface, simulate
 from milled import BALL, FLAT, POINTED, V, cutter, groove, milled, waves
 
 SHAPES = pytest.mark.parametrize("shape", [BALL, FLAT, V, POINTED], ids=["ball", "flat", "v", "pointed"])

@@ -14,18 +14,18 @@ import pytest
 from typer.testing import CliRunner
 
 from fabricated import bumpy, flat, written
-from magiclens.artifacts import FloatArray, Solid
 from magiclens.cli import app
-from magiclens.errors import InputError
+from magiclens.contract.artifacts import FloatArray, Solid
+from magiclens.contract.errors import InputError
 from magiclens.images.files import read_image
 from magiclens.milling.cutter import Cutter
 from magiclens.milling.exporter import Milling
 from magiclens.milling.gcode import Gcode, parse_gcode
 from magiclens.milling.job import job
-from magiclens.milling.machining import faults, find_programs, read_program, simulate
 from magiclens.milling.rml import Rml, parse_rml
-from magiclens.plan import load_plan
-from magiclens.running import Run, run_spec
+from magiclens.plan.compile import load_plan
+from magiclens.running.pipeline import Run, run_spec
+from magiclens.simulation.machining import faults, find_programs, read_program, simulate
 from milled import BALL, FLAT, POINTED, V, cutter, milled, waves
 from toys import TOYS, SpecWriter, registry_of
 

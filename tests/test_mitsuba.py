@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from magiclens.artifacts import FloatArray, Lens, Scene, Solid, View
-from magiclens.errors import StageError
+from magiclens.contract.artifacts import FloatArray, Lens, Scene, Solid, View
+from magiclens.contract.errors import StageError
 from magiclens.rendering.mitsuba import SMALLEST_GAP_MM, Mitsuba
 
 SIZE, SOURCE, THICK, DISTANCE, IOR = 100.0, 300.0, 40.0, 400.0, 1.49

@@ -10,18 +10,18 @@ import pytest
 from scipy.ndimage import map_coordinates
 from scipy.optimize import brentq
 
-from magiclens.artifacts import Assignment, Candidates, FloatArray, Scene, View
-from magiclens.errors import InputError
-from magiclens.facets import patches_seen
+from magiclens.analysis.ideal import predict
+from magiclens.contract.artifacts import Assignment, Candidates, FloatArray, Scene, View
+from magiclens.contract.errors import InputError
+from magiclens.contract.stages import silent
+from magiclens.geometry.facets import patches_seen
 from magiclens.images import resize, to_display
 from magiclens.integration.poisson import Poisson
 from magiclens.matching.exhaustive import Exhaustive
 from magiclens.matching.multi_view import MultiView
-from magiclens.matching.predict import predict
 from magiclens.matching.several_eyes import match
 from magiclens.optics.refraction import facet_normal, refract
-from magiclens.stages import silent
-from magiclens.traced import facet_errors
+from magiclens.rendering.traced import facet_errors
 from scenes import ABOVE, THICK, assigned, blotches, choices, grey_view, letter_f, small_lens, surface
 
 LEFT_EYE, RIGHT_EYE = (-104.0, 0.0, THICK + 386.0), (104.0, 20.0, THICK + 386.0)

@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from magiclens.artifacts import FloatArray
 from magiclens.cli import app
-from magiclens.errors import InputError
+from magiclens.contract.artifacts import FloatArray
+from magiclens.contract.errors import InputError
 from magiclens.images import art, to_display, to_linear, write_png
 from magiclens.images.resample import middle
 from magiclens.images.tones import toned
 from magiclens.new.judge import judge
 from magiclens.new.layouts import LAYOUTS
 from magiclens.new.write import new_spec
-from magiclens.plan import Plan, load_plan
-from magiclens.running import run_plan
+from magiclens.plan.compile import Plan, load_plan
+from magiclens.running.pipeline import run_plan
 from magiclens.scenarios.pictures import Target
 from magiclens.scenarios.universal_animation import Frames
 
@@ -176,8 +176,8 @@ LARGER = {
 def test_every_scenarios_spec_runs(
     scenario: str, panda: Path, tmp_path: Path, without_report: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("magiclens.running._bounds", lambda *_: {})
-    monkeypatch.setattr("magiclens.running._zone", lambda *_: None)
+    monkeypatch.setattr("magiclens.running.pipeline._bounds", lambda *_: {})
+    monkeypatch.setattr("magiclens.running.pipeline._zone", lambda *_: None)
     new_spec(scenario, [panda], tmp_path / "my.yaml")
     done = run_plan(load_plan(tmp_path / "my.yaml", [*SMALL, *LARGER.get(scenario, [])]), tmp_path / "out")
     assert (done.folder / "lens.stl").is_file()

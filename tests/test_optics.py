@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq, minimize_scalar
 
-from magiclens.artifacts import FloatArray, Scene
-from magiclens.facets import EDGE_POINTS, central_slopes, cost_of_lost_light, edge_models
+from magiclens.contract.artifacts import FloatArray, Scene
+from magiclens.geometry.facets import EDGE_POINTS, central_slopes, cost_of_lost_light, edge_models
 from magiclens.optics.refraction import facet_normal, refract, sine_in_slab, transmittance
 from magiclens.optics.walls import DOWN, LEFT, RIGHT, UP, settle, sweep, total_energy
 from scenes import ABOVE, DISTANCE, IOR, THICK, blank_scene, grey_view, small_lens

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 from ruamel.yaml import YAML
 
-from magiclens.plan import Plan, describe, load_plan
-from magiclens.registry import Registry
-from magiclens.spec.fields import Inputs
+from magiclens.config.fields import Inputs
+from magiclens.plan.compile import Plan, describe, load_plan
+from magiclens.plan.registry import Registry
 from toys import SpecWriter
 
 

@@ -15,12 +15,12 @@ import pytest
 from typer.testing import CliRunner
 
 from fabricated import bumpy, flat
-from magiclens.artifacts import FloatArray, HeightField, Lens, Solid
 from magiclens.cli import app
-from magiclens.errors import InputError
-from magiclens.fabrication.mesh_files import STL_HEADER
-from magiclens.meshing.solid import solid_from_heights
-from magiclens.plan import Plan, load_plan
+from magiclens.contract.artifacts import FloatArray, HeightField, Lens, Solid
+from magiclens.contract.errors import InputError
+from magiclens.exporting.mesh_files import STL_HEADER
+from magiclens.geometry.solid import solid_from_heights
+from magiclens.plan.compile import Plan, load_plan
 from magiclens.preflight import making, optics
 from magiclens.preflight.exported import Exported, read_exported
 from magiclens.preflight.finding import Finding, first_of, graded, worst
@@ -28,7 +28,7 @@ from magiclens.preflight.inspect import Preflight, _as_made, inspect
 from magiclens.preflight.page import INK, lens_map, table, write_preflight
 from magiclens.preflight.sight import facets_of, look, slopes_deg
 from magiclens.profiles.machines import machines
-from magiclens.running import Run, run_spec
+from magiclens.running.pipeline import Run, run_spec
 
 SPEC = """\
 name: small

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from fabricated import LENS, bumpy, flat
-from magiclens.artifacts import FloatArray, HeightField, Lens, Scene, Solid
-from magiclens.fabrication.printed import printed
-from magiclens.meshing.solid import solid_from_heights
-from magiclens.meshing.solid import volume as volume_of
+from magiclens.contract.artifacts import FloatArray, HeightField, Lens, Scene, Solid
+from magiclens.geometry.solid import solid_from_heights
+from magiclens.geometry.solid import volume as volume_of
 from magiclens.meshing.validation import validate
-from magiclens.preflight.as_made import as_made, rough_pictures
 from magiclens.profiles.machines import Printer, machines
 from magiclens.rendering.tracer import Tracer
+from magiclens.simulation.as_made import as_made, rough_pictures
+from magiclens.simulation.printed import printed
 from scenes import blotches, grey_view
 
 RAW = {"blur": "0mm", "polish": "0mm"}

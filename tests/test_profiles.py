@@ -11,13 +11,13 @@ from jsonschema import Draft7Validator
 from pydantic import ValidationError
 from ruamel.yaml import YAML
 
-from magiclens.errors import InputError
-from magiclens.plan import Plan, describe, load_plan
+from magiclens.config.schema import json_schema
+from magiclens.contract.errors import InputError
+from magiclens.contract.stages import KINDS
+from magiclens.plan.compile import Plan, describe, load_plan
+from magiclens.plan.registry import ART, SCENARIO, STAGE, Registry
 from magiclens.profiles.machines import Machine, Mill, Printer, machines
 from magiclens.profiles.materials import Material, materials
-from magiclens.registry import ART, SCENARIO, STAGE, Registry
-from magiclens.spec.schema import json_schema
-from magiclens.stages import KINDS
 
 SPEC = """\
 scenario: {type: single, source: {type: circles}, target: {art: panda}}

@@ -19,7 +19,7 @@ from ruamel.yaml import YAML
 
 import magiclens
 from magiclens import InputError, Run
-from magiclens.registry import Registry
+from magiclens.plan.registry import Registry
 from toys import SPEC, SpecWriter, no_timings
 
 NOTEBOOK = Path(__file__).parent.parent / "docs" / "notebooks" / "first-lens.ipynb"
@@ -46,7 +46,7 @@ def lens(spec: dict[str, Any], tmp_path: Path) -> Run:
     return magiclens.run(spec, tmp_path / "lens")
 
 
-@pytest.mark.parametrize("first", ["", "import magiclens.running; ", "from magiclens.cli import run as _; "])
+@pytest.mark.parametrize("first", ["", "import magiclens.running.pipeline; ", "from magiclens.cli import run as _; "])
 def test_run_is_a_function_whatever_was_imported_before(first: str) -> None:
     code = f"{first}import magiclens; print(callable(magiclens.run), magiclens.run.__name__)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)

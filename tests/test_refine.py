@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from magiclens.artifacts import Assignment, FloatArray, HeightField, Scene, View
+from magiclens.contract.artifacts import Assignment, FloatArray, HeightField, Scene, View
+from magiclens.contract.stages import Progress, silent
+from magiclens.geometry.solid import solid_from_heights
 from magiclens.images import resize, to_display
 from magiclens.integration.freeform import View as Seen
 from magiclens.integration.freeform import _along, _back, _field, _look, _pull, _slopes, _spectrum
@@ -21,11 +23,9 @@ from magiclens.integration.poisson import Poisson
 from magiclens.integration.refine import LOOKS, _samples, _sights, _slab, foreseen
 from magiclens.integration.two_level import cosines
 from magiclens.matching.exhaustive import Exhaustive
-from magiclens.meshing.solid import solid_from_heights
-from magiclens.plan import load_plan
+from magiclens.plan.compile import load_plan
 from magiclens.rendering.trace import picture, trace
-from magiclens.running import run_plan
-from magiclens.stages import Progress, silent
+from magiclens.running.pipeline import run_plan
 from magiclens.testing import one_view, two_eyes, two_turns
 from magiclens.testing.scenes import an_assignment
 from scenes import blotches, plane_points_mm, surface

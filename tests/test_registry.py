@@ -12,15 +12,15 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from magiclens.errors import InputError, StageError, Terminated
-from magiclens.hookspecs import hookimpl
-from magiclens.listing import describe_plugins
-from magiclens.plan import load_plan
-from magiclens.prints import prints_of
-from magiclens.registry import ART, SCENARIO, STAGE, Plugin, Registry, blaming
+from magiclens.config.schema import json_schema
+from magiclens.contract.errors import InputError, StageError, Terminated
+from magiclens.contract.hookspecs import hookimpl
+from magiclens.contract.stages import KINDS, Matcher
+from magiclens.plan.capture import prints_of
+from magiclens.plan.compile import load_plan
+from magiclens.plan.listing import describe_plugins
+from magiclens.plan.registry import ART, SCENARIO, STAGE, Plugin, Registry, blaming
 from magiclens.scenarios.rotating import Rotating
-from magiclens.spec.schema import json_schema
-from magiclens.stages import KINDS, Matcher
 from toys import TOY_PLUGIN, SpecWriter, ToyExporter, ToyMatcher, plugin_of, registry_of
 
 OTHER = Plugin("other", "other-package", "3.4")
@@ -171,7 +171,7 @@ def test_a_plugin_written_for_another_contract_is_told_what_to_upgrade(written: 
 
 
 def test_a_plugin_written_for_this_contract_or_an_older_second_number_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("magiclens.hookspecs.CONTRACT", "1.3")
+    monkeypatch.setattr("magiclens.contract.hookspecs.CONTRACT", "1.3")
     plugin = plugin_of(ToyMatcher)
     vars(plugin)["mlens_contract"] = "1.2"
     registry = Registry()

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from fabricated import EYE, LENS, Eye, box, bumpy, flat, together
-from magiclens.artifacts import FloatArray, Solid
-from magiclens.fabrication.relief import top_relief
+from magiclens.contract.artifacts import FloatArray, Solid
+from magiclens.geometry.columns import top_relief
 
 ASIDE = (60.0, 0.0, 60.0)
 INSIDE = np.linspace(-4.9, 4.9, 71)

@@ -10,13 +10,13 @@ import pytest
 from typer.testing import CliRunner
 
 from magiclens.cli import app
-from magiclens.errors import InputError
+from magiclens.contract.errors import InputError
 from magiclens.images import score
 from magiclens.images.art import ART
 from magiclens.images.files import read_image, write_png
 from magiclens.images.movies import read_frames, write_gif
-from magiclens.reopen import reopen
-from magiclens.running import Run, run_spec
+from magiclens.running.pipeline import Run, run_spec
+from magiclens.running.reopen import reopen
 
 SPEC = """\
 scenario:

@@ -12,25 +12,25 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from magiclens.artifacts import Assignment, FloatArray, HeightField, IntArray, Lens, Scene, Solid, View
-from magiclens.facets import central_slopes, patches_seen
-from magiclens.matching.predict import predict
-from magiclens.plan import load_plan
-from magiclens.registry import Registry
-from magiclens.report.annealed import SIDE, before_after, fine_slopes
-from magiclens.report.contact import MARK, marked, place
-from magiclens.report.data import RunData
-from magiclens.report.differences import difference, gridded
-from magiclens.report.overlap import FAINT, coarse, facets_that_look, faded, overlaps, seen
-from magiclens.report.photographs import photograph
-from magiclens.report.relief import relief, sample_heights, shadow
-from magiclens.report.scales import BLUE_TO_RED, DIVERGING, Scale
-from magiclens.report.sheet import GAP, LABELS, LINE, PAPER, Tile, display, sheet
-from magiclens.report.surface import wall_picture
+from magiclens.analysis.annealed import SIDE, before_after, fine_slopes
+from magiclens.analysis.contact import MARK, marked, place
+from magiclens.analysis.differences import difference, gridded
+from magiclens.analysis.ideal import predict
+from magiclens.analysis.overlap import FAINT, coarse, facets_that_look, faded, overlaps, seen
+from magiclens.analysis.surface import wall_picture
+from magiclens.analysis.warp import INK, facet_colours, tinted
+from magiclens.contract.artifacts import Assignment, FloatArray, HeightField, IntArray, Lens, Scene, Solid, View
+from magiclens.contract.result import RunData
+from magiclens.drawing.photographs import photograph
+from magiclens.drawing.scales import BLUE_TO_RED, DIVERGING, Scale
+from magiclens.drawing.shading import relief, sample_heights, shadow
+from magiclens.drawing.sheet import GAP, LABELS, LINE, PAPER, Tile, display, sheet
+from magiclens.geometry.facets import central_slopes, patches_seen
+from magiclens.plan.compile import load_plan
+from magiclens.plan.registry import Registry
 from magiclens.report.tables import measure, metric_rows
-from magiclens.report.warp import INK, facet_colours, tinted
 from magiclens.report.write import write_report
-from magiclens.running import run_plan
+from magiclens.running.pipeline import run_plan
 from scenes import (
     ABOVE,
     assigned,

@@ -14,14 +14,14 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from magiclens.artifacts import Assignment, Candidates, HeightField, Scene, Solid
-from magiclens.errors import InputError, StageError
-from magiclens.hookspecs import hookimpl
-from magiclens.observers import Bars, Lines, Observer
-from magiclens.plan import load_plan
-from magiclens.registry import Plugin, Registry
-from magiclens.running import Run, run_plan
-from magiclens.stages import Stage
+from magiclens.contract.artifacts import Assignment, Candidates, HeightField, Scene, Solid
+from magiclens.contract.errors import InputError, StageError
+from magiclens.contract.hookspecs import hookimpl
+from magiclens.contract.stages import Stage
+from magiclens.plan.compile import load_plan
+from magiclens.plan.registry import Plugin, Registry
+from magiclens.running.observers import Bars, Lines, Observer
+from magiclens.running.pipeline import Run, run_plan
 from toys import (
     TOYS,
     SpecWriter,
@@ -190,7 +190,7 @@ def test_rematching_repeats_choice_and_integration(run: Runner) -> None:
 
 def test_rematching_stops_when_it_no_longer_helps(run: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
     errors = iter([0.5, 0.4, 0.6, 0.3])
-    traced = sys.modules["magiclens.traced"]
+    traced = sys.modules["magiclens.rendering.traced"]
     monkeypatch.setattr(traced, "facet_errors", lambda scene, heights: np.full((4, 4), next(errors)))
     plain, done = run("one").data, run("two", "pipeline.rematch=5").data
     assert np.allclose(done.candidates.offsets_mm, plain.candidates.offsets_mm + 1)

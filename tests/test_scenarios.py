@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from magiclens.artifacts import FloatArray, Lens, View
-from magiclens.errors import InputError
+from magiclens.config.model import Viewer
+from magiclens.contract.artifacts import FloatArray, Lens, View
+from magiclens.contract.errors import InputError
 from magiclens.images.files import read_image, write_png
 from magiclens.images.text import text
-from magiclens.plan import load_plan
-from magiclens.registry import Registry
+from magiclens.plan.compile import load_plan
+from magiclens.plan.registry import Registry
 from magiclens.scenarios.base import Shot
 from magiclens.scenarios.multi_view import MultiView
 from magiclens.scenarios.pictures import ArtSource, Circles, ImageSource, Target, TextSource
 from magiclens.scenarios.rotating import Rotating
 from magiclens.scenarios.single import Single
 from magiclens.scenarios.stable_zone import StableZone
-from magiclens.spec.model import Viewer
 from toys import SpecWriter
 
 LENS = Lens(size_mm=20, source_size_mm=20, thickness_mm=30)

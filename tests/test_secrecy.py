@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from magiclens.artifacts import Assignment, Lens, Scene, View
+from magiclens.analysis.secrecy import secrecy, tile_likeness
+from magiclens.contract.artifacts import Assignment, Lens, Scene, View
 from magiclens.images.art import ART
 from magiclens.matching.strength import injective_maps_bits
-from magiclens.secrecy import secrecy, tile_likeness
 
 RNG = np.random.default_rng(0)
 

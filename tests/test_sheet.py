@@ -12,14 +12,14 @@ import pytest
 from PIL import Image
 
 from fabricated import box, flat, view_of, written
-from magiclens.artifacts import FloatArray, Lens, Scene, View
-from magiclens.errors import InputError
-from magiclens.fabrication.monitor import Monitor
-from magiclens.fabrication.print_page import listed
-from magiclens.fabrication.sheet import PAPERS, Sheet
+from magiclens.contract.artifacts import FloatArray, Lens, Scene, View
+from magiclens.contract.errors import InputError
+from magiclens.contract.stages import Exporter
+from magiclens.exporting.monitor import Monitor
+from magiclens.exporting.print_page import listed
+from magiclens.exporting.sheet import PAPERS, Sheet
 from magiclens.images.colour import to_display
-from magiclens.plan import load_plan
-from magiclens.stages import Exporter
+from magiclens.plan.compile import load_plan
 from toys import TOYS, SpecWriter, registry_of
 
 Ink = np.ndarray[Any, Any]

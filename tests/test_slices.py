@@ -13,11 +13,11 @@ import pytest
 from PIL import Image
 
 from fabricated import EYE, LENS, Eye, box, bumpy, flat, together, winding, written
-from magiclens.artifacts import BoolArray, FloatArray, Lens, Scene, Solid
-from magiclens.errors import InputError
-from magiclens.fabrication.slices import Slices
-from magiclens.meshing.solid import volume
-from magiclens.plan import load_plan
+from magiclens.contract.artifacts import BoolArray, FloatArray, Lens, Scene, Solid
+from magiclens.contract.errors import InputError
+from magiclens.exporting.slices import Slices
+from magiclens.geometry.solid import volume
+from magiclens.plan.compile import load_plan
 from toys import TOYS, SpecWriter, registry_of
 
 MILLIMETRE = {"dpi_x": 25.4, "dpi_y": 25.4, "layer": "1mm"}

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from magiclens.artifacts import FloatArray, Solid
-from magiclens.meshing.solid import grid_lines, heights_of, solid_from_heights, volume
+from magiclens.contract.artifacts import FloatArray, Solid
+from magiclens.geometry.solid import grid_lines, heights_of, solid_from_heights, volume
 from scenes import ABOVE, ASIDE, THICK, Eye, plane_points_mm, small_lens, surface
 
 LENS = small_lens(3, 4.0, microfacets=5, wall_mm=0.3)

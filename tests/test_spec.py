@@ -11,15 +11,15 @@ from jsonschema import Draft7Validator
 from typer.testing import CliRunner
 
 from magiclens.cli import app
-from magiclens.errors import InputError
-from magiclens.plan import load_plan
+from magiclens.config.document import read_document
+from magiclens.config.load import load_spec
+from magiclens.config.model import PipelineSpec
+from magiclens.config.schema import json_schema
+from magiclens.contract.errors import InputError
+from magiclens.contract.stages import KINDS
+from magiclens.plan.compile import load_plan
+from magiclens.plan.registry import ART, SCENARIO, STAGE, Registry
 from magiclens.profiles.materials import materials
-from magiclens.registry import ART, SCENARIO, STAGE, Registry
-from magiclens.spec.document import read_document
-from magiclens.spec.load import load_spec
-from magiclens.spec.model import PipelineSpec
-from magiclens.spec.schema import json_schema
-from magiclens.stages import KINDS
 from toys import SPEC, SpecWriter
 
 SPECS = sorted((Path(__file__).parent.parent / "specs").glob("*.yaml"))

@@ -14,12 +14,12 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner, Result
 
-from magiclens.artifacts import Assignment, HeightField, Scene
 from magiclens.cli import app
-from magiclens.errors import InputError
-from magiclens.executors import Processes, Serial
-from magiclens.registry import Registry
-from magiclens.stages import Progress, silent
+from magiclens.contract.artifacts import Assignment, HeightField, Scene
+from magiclens.contract.errors import InputError
+from magiclens.contract.executors import Processes, Serial
+from magiclens.contract.stages import Progress, silent
+from magiclens.plan.registry import Registry
 from magiclens.sweep.combine import Combination, alternatives, combinations
 from magiclens.sweep.page import SIDE, pictures
 from magiclens.sweep.sweeping import Sweep, sweep_spec
@@ -31,7 +31,7 @@ Sweeper = Callable[..., Sweep]
 @pytest.fixture
 def toys(toy_geometry: None, without_report: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs take no time."""
-    monkeypatch.setattr("magiclens.running._bounds", lambda *_: {})
+    monkeypatch.setattr("magiclens.running.pipeline._bounds", lambda *_: {})
 
 
 @pytest.fixture

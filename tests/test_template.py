@@ -15,7 +15,7 @@ import pytest
 from copier import run_copy
 
 from magiclens import CONTRACT
-from magiclens.stages import KINDS
+from magiclens.contract.stages import KINDS
 
 ROOT = Path(__file__).parent.parent
 HOW_TO = ROOT / "docs" / "how-to" / "write-a-plugin.md"

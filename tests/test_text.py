@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import label
 
-from magiclens.artifacts import FloatArray
+from magiclens.contract.artifacts import FloatArray
 from magiclens.images import resize
 from magiclens.images.text import Box, text
 

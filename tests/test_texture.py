@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from skimage import data
 
-from magiclens.errors import InputError
+from magiclens.contract.errors import InputError
 from magiclens.images import COLOURED, FloatArray, circles, to_display, to_linear
 from magiclens.images.inpaint import BoolArray
 from magiclens.images.texture import synthesize

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from magiclens.artifacts import FloatArray, HeightField, Lens, Scene, Solid, View
-from magiclens.errors import InputError
-from magiclens.facets import edge_models
+from magiclens.contract.artifacts import FloatArray, HeightField, Lens, Scene, Solid, View
+from magiclens.contract.errors import InputError
+from magiclens.geometry.facets import edge_models
+from magiclens.geometry.solid import solid_from_heights
 from magiclens.integration.poisson import Poisson
-from magiclens.meshing.solid import solid_from_heights
 from magiclens.optics.walls import DOWN, RIGHT
 from magiclens.rendering.trace import trace, transport
 from magiclens.rendering.tracer import Tracer

@@ -9,7 +9,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel, Field, ValidationError
 
-from magiclens.units import ANGLE, FRACTION, LENGTH, Angle, Fraction, Length, LengthOrPercent, Quantity, relative
+from magiclens.contract.units import (
+    ANGLE,
+    FRACTION,
+    LENGTH,
+    Angle,
+    Fraction,
+    Length,
+    LengthOrPercent,
+    Quantity,
+    relative,
+)
 
 
 class Model(BaseModel):

@@ -9,7 +9,7 @@ import pytest
 
 from magiclens import run_spec
 from magiclens.images import read_image, score, to_display, write_png
-from magiclens.running import Run
+from magiclens.running.pipeline import Run
 from toys import SpecWriter
 
 SPEC = """\
@@ -51,7 +51,7 @@ pipeline:
 @pytest.fixture(autouse=True)
 def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
     """Small lenses need no large pictures."""
-    monkeypatch.setattr("magiclens.traced.LEAST_RESOLUTION", 192)
+    monkeypatch.setattr("magiclens.rendering.traced.LEAST_RESOLUTION", 192)
 
 
 @pytest.fixture

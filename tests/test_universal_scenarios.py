@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from magiclens.artifacts import Lens
-from magiclens.errors import InputError
+from magiclens.config.model import Viewer
+from magiclens.contract.artifacts import Lens
+from magiclens.contract.errors import InputError
 from magiclens.images.art import ART
 from magiclens.images.files import write_png
 from magiclens.images.movies import write_gif
-from magiclens.plan import load_plan
+from magiclens.plan.compile import load_plan
 from magiclens.scenarios.question_answer import QuestionAnswer
 from magiclens.scenarios.universal_animation import UniversalAnimation
-from magiclens.spec.model import Viewer
 
 LENS = Lens(size_mm=20, source_size_mm=20)
 VIEWER = Viewer.model_validate({})

@@ -22,19 +22,19 @@ from scipy.ndimage import gaussian_filter
 from typer.testing import CliRunner
 
 from browsers import chromium, listen
-from magiclens.artifacts import FloatArray, Lens, View
 from magiclens.cli import app
+from magiclens.contract.artifacts import FloatArray, Lens, View
 from magiclens.images import read_image, to_display, to_linear
 from magiclens.images.files import write_png
 from magiclens.images.score import psnr_db
 from magiclens.rendering.trace import picture, trace
-from magiclens.reopen import Reopened, reopen
-from magiclens.running import run_spec
-from magiclens.viewer import MOST_BYTES, fragment, page
-from magiclens.viewer.facts import LANDING_MM, _finest_mm, _kept
-from magiclens.viewer.packing import pack, polynomials, unpack
-from magiclens.viewer.page import _for_script
-from magiclens.viewer.pictures import fitting
+from magiclens.running.pipeline import run_spec
+from magiclens.running.reopen import Reopened, reopen
+from magiclens.web.viewer import MOST_BYTES, fragment, page
+from magiclens.web.viewer.facts import LANDING_MM, _finest_mm, _kept
+from magiclens.web.viewer.packing import pack, polynomials, unpack
+from magiclens.web.viewer.page import _for_script
+from magiclens.web.viewer.pictures import fitting
 
 SPECS = Path(__file__).parent.parent / "specs"
 PIXELS, SAMPLES = 128, 2
@@ -432,7 +432,7 @@ def test_dark_rooms_have_a_dark_table(visit: Any) -> None:
 def test_frames_of_a_film_are_scrubbed_and_played(
     visit: Any, folders: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("magiclens.viewer.facts.MOST_CHOICES", 0)
+    monkeypatch.setattr("magiclens.web.viewer.facts.MOST_CHOICES", 0)
     folders["film"] = tmp_path
     (tmp_path / "view.html").write_text(page(folders["rotating"]), encoding="utf-8")
     tab = visit("film")

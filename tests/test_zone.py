@@ -12,17 +12,17 @@ import pytest
 from PIL import Image
 
 from magiclens import zone
-from magiclens.artifacts import Lens, Scene, Solid, View
-from magiclens.hookspecs import hookimpl
+from magiclens.analysis.zone_figures import zone_figures
+from magiclens.contract.artifacts import Lens, Scene, Solid, View
+from magiclens.contract.hookspecs import hookimpl
+from magiclens.contract.result import Zone
+from magiclens.drawing.chart import BOTTOM, HEIGHT, LEFT, RIGHT, SHADE, TOP, WIDTH, Axis, Chart, Curve
+from magiclens.geometry.solid import solid_from_heights
 from magiclens.images import score
-from magiclens.meshing.solid import solid_from_heights
-from magiclens.plan import load_plan
-from magiclens.registry import Plugin, Registry
+from magiclens.plan.compile import load_plan
+from magiclens.plan.registry import Plugin, Registry
 from magiclens.rendering.tracer import Tracer
-from magiclens.report.chart import BOTTOM, HEIGHT, LEFT, RIGHT, SHADE, TOP, WIDTH, Axis, Chart, Curve
-from magiclens.report.data import Zone
-from magiclens.report.zone import zone_figures
-from magiclens.running import run_plan
+from magiclens.running.pipeline import run_plan
 from scenes import THICK, blotches, grey_view, letter_f, small_lens, surface
 
 SPECS = Path(__file__).parent.parent / "specs"

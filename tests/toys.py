@@ -11,12 +11,12 @@ import numpy as np
 from pydantic import Field
 
 from magiclens import builtin
-from magiclens.artifacts import Assignment, Candidates, FloatArray, HeightField, Scene, Solid
-from magiclens.hookspecs import hookimpl
+from magiclens.contract.artifacts import Assignment, Candidates, FloatArray, HeightField, Scene, Solid
+from magiclens.contract.hookspecs import hookimpl
+from magiclens.contract.stages import Annealer, Exporter, Finisher, Integrator, Matcher, Progress, Renderer, silent
+from magiclens.contract.units import Length, LengthOrPercent, relative
 from magiclens.images.resample import resize
-from magiclens.registry import Plugin, Registry
-from magiclens.stages import Annealer, Exporter, Finisher, Integrator, Matcher, Progress, Renderer, silent
-from magiclens.units import Length, LengthOrPercent, relative
+from magiclens.plan.registry import Plugin, Registry
 
 CANDIDATES = 3
 

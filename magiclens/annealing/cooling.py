@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from magiclens.artifacts import Assignment, Candidates, Scene
-from magiclens.facets import cost_of_lost_light, edge_models
+from magiclens.contract.artifacts import Assignment, Candidates, Scene
+from magiclens.contract.stages import Progress
+from magiclens.geometry.facets import cost_of_lost_light, edge_models
 from magiclens.optics.walls import sweep, total_energy
-from magiclens.stages import Progress
 
 if TYPE_CHECKING:
     from magiclens.annealing.heat_bath import HeatBath

@@ -7,8 +7,8 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from magiclens.artifacts import Assignment, Candidates, Scene
-from magiclens.stages import Annealer, Progress, silent
+from magiclens.contract.artifacts import Assignment, Candidates, Scene
+from magiclens.contract.stages import Annealer, Progress, silent
 
 
 class Metropolis(Annealer):

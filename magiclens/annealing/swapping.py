@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
-from magiclens.artifacts import Assignment, Candidates, FloatArray, Scene
-from magiclens.facets import central_slopes
-from magiclens.stages import Progress
+from magiclens.contract.artifacts import Assignment, Candidates, FloatArray, Scene
+from magiclens.contract.stages import Progress
+from magiclens.geometry.facets import central_slopes
 
 if TYPE_CHECKING:
     from magiclens.annealing.metropolis import Metropolis

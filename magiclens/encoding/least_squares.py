@@ -8,10 +8,10 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from magiclens.artifacts import Scene, Transport
+from magiclens.contract.artifacts import Scene, Transport
+from magiclens.contract.stages import Encoder, Progress, silent
+from magiclens.contract.units import Fraction, Length
 from magiclens.scenarios.camouflage import Camouflage
-from magiclens.stages import Encoder, Progress, silent
-from magiclens.units import Fraction, Length
 
 
 class LeastSquares(Encoder):

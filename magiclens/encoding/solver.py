@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.sparse import csr_array, vstack
 
-from magiclens.artifacts import BoolArray, FloatArray, IntArray, Scene, Transport, View
+from magiclens.contract.artifacts import BoolArray, FloatArray, IntArray, Scene, Transport, View
+from magiclens.contract.stages import Progress
 from magiclens.images import resize, to_display, to_linear
-from magiclens.optics.sparse import times
-from magiclens.stages import Progress
+from magiclens.kernels.sparse import times
 
 if TYPE_CHECKING:
     from magiclens.encoding.least_squares import LeastSquares

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from difflib import get_close_matches
 from functools import partial
 
-from magiclens.errors import InputError
+from magiclens.contract.errors import InputError
 from magiclens.images.colour import FloatArray
 from magiclens.images.drawings import answers, clipart
 from magiclens.images.drawings.flower import flower

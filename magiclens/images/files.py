@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from magiclens.errors import InputError
+from magiclens.contract.errors import InputError
 from magiclens.images.colour import FloatArray, grey, to_display, to_linear
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from magiclens.errors import InputError
+from magiclens.contract.errors import InputError
 from magiclens.images.colour import FloatArray, grey, to_display, to_linear
 from magiclens.images.files import read_image
 

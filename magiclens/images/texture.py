@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from magiclens.errors import InputError
+from magiclens.contract.errors import InputError
 from magiclens.images.colour import FloatArray, to_display
 from magiclens.images.inpaint import BoolArray, halved
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from magiclens.artifacts import FloatArray
+from magiclens.contract.artifacts import FloatArray
 
 PASSES = 500
 _ENOUGH_MM = 1e-6

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit, prange
 
-from magiclens.artifacts import FloatArray, IntArray
+from magiclens.contract.artifacts import FloatArray, IntArray
 from magiclens.optics.eyes import land, lift
 
 SLOPE_STEP, SPAN_STEP_MM = 1e-4, 0.02

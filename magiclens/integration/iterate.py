@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from magiclens.artifacts import Assignment, FloatArray, HeightField, Scene
-from magiclens.errors import StageError
+from magiclens.contract.artifacts import Assignment, FloatArray, HeightField, Scene
+from magiclens.contract.errors import StageError
+from magiclens.contract.stages import Progress
 from magiclens.integration.measures import measures
 from magiclens.integration.orientation import edge_rises
-from magiclens.stages import Progress
 
 Solve = Callable[[FloatArray, FloatArray, FloatArray, int], FloatArray]
 """From edge rises along rows and columns (see ``edge_rises``), the heights now and the round, to new heights."""

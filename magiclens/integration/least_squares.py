@@ -6,8 +6,8 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from magiclens.artifacts import Assignment, HeightField, Scene
-from magiclens.stages import Integrator, Progress, silent
+from magiclens.contract.artifacts import Assignment, HeightField, Scene
+from magiclens.contract.stages import Integrator, Progress, silent
 
 
 class LeastSquares(Integrator):

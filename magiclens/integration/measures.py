@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from magiclens.artifacts import FloatArray, HeightField
+from magiclens.contract.artifacts import FloatArray, HeightField
 
 
 def steps(heights: FloatArray) -> tuple[FloatArray, FloatArray]:

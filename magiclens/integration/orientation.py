@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from magiclens.artifacts import Assignment, FloatArray, Scene
+from magiclens.contract.artifacts import Assignment, FloatArray, Scene
 from magiclens.optics.refraction import facet_normal
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from magiclens.artifacts import FloatArray, Scene
-from magiclens.facets import built_drifts, cost_of_lost_light
+from magiclens.contract.artifacts import FloatArray, Scene
+from magiclens.geometry.facets import built_drifts, cost_of_lost_light
 from magiclens.optics.walls import DOWN, LEFT, RIGHT, UP, sweep
 
 SWEEPS = 60

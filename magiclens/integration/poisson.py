@@ -7,9 +7,9 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from magiclens.artifacts import Assignment, HeightField, Scene
-from magiclens.stages import Integrator, Progress, silent
-from magiclens.units import Length
+from magiclens.contract.artifacts import Assignment, HeightField, Scene
+from magiclens.contract.stages import Integrator, Progress, silent
+from magiclens.contract.units import Length
 
 
 class Poisson(Integrator):

@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from magiclens.artifacts import BoolArray, FloatArray, HeightField, Lens, Scene
+from magiclens.contract.artifacts import BoolArray, FloatArray, HeightField, Lens, Scene
 from magiclens.images import resize, to_display
 from magiclens.integration.freeform import Metric, Samples, Sights, Slab, refine_facets
 from magiclens.integration.measures import measures

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.fft import dct, dctn, idctn
 
-from magiclens.artifacts import Assignment, FloatArray, HeightField, Scene
+from magiclens.contract.artifacts import Assignment, FloatArray, HeightField, Scene
+from magiclens.contract.stages import Progress
 from magiclens.integration.continuity import limit_steps
 from magiclens.integration.iterate import check_relief, iterate
 from magiclens.integration.measures import measures
 from magiclens.integration.placement import place_for_light, within
-from magiclens.stages import Progress
 
 if TYPE_CHECKING:
     from magiclens.integration.poisson import Poisson

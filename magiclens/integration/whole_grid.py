@@ -8,11 +8,11 @@ import numpy as np
 from scipy.fft import dctn, idctn
 from scipy.sparse.linalg import LinearOperator, cg
 
-from magiclens.artifacts import Assignment, FloatArray, HeightField, Scene
-from magiclens.errors import StageError
+from magiclens.contract.artifacts import Assignment, FloatArray, HeightField, Scene
+from magiclens.contract.errors import StageError
+from magiclens.contract.stages import Progress
 from magiclens.integration.iterate import iterate
 from magiclens.integration.two_level import cosines, divergence
-from magiclens.stages import Progress
 
 if TYPE_CHECKING:
     from magiclens.integration.least_squares import LeastSquares

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magiclens.artifacts import FloatArray, Scene
-from magiclens.errors import InputError
+from magiclens.contract.artifacts import FloatArray, Scene
+from magiclens.contract.errors import InputError
 from magiclens.images import resize, to_display
 
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from magiclens.artifacts import BoolArray, Candidates, FloatArray, IntArray, Lens, Scene
-from magiclens.errors import InputError
-from magiclens.facets import edge_models
+from magiclens.contract.artifacts import BoolArray, Candidates, FloatArray, IntArray, Lens, Scene
+from magiclens.contract.errors import InputError
+from magiclens.geometry.facets import edge_models
 from magiclens.matching.driver import flat_scale, optics
 from magiclens.matching.realisable import realisable
 from magiclens.matching.shuffling import shuffle

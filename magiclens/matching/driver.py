@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from magiclens.artifacts import Candidates, FloatArray, Lens, Scene
-from magiclens.errors import InputError
+from magiclens.contract.artifacts import Candidates, FloatArray, Lens, Scene
+from magiclens.contract.errors import InputError
+from magiclens.contract.stages import Progress
 from magiclens.matching import raster as rasters
 from magiclens.matching.channels import Channels, stack_channels
 from magiclens.matching.judge import judge
 from magiclens.matching.polish import blur_levels, polish
 from magiclens.matching.search import search
-from magiclens.stages import Progress
 
 if TYPE_CHECKING:
     from magiclens.matching.exhaustive import Exhaustive

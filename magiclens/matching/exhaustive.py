@@ -7,9 +7,9 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from magiclens.artifacts import Candidates, Scene
-from magiclens.stages import Matcher, Progress, silent
-from magiclens.units import LengthOrPercent, relative
+from magiclens.contract.artifacts import Candidates, Scene
+from magiclens.contract.stages import Matcher, Progress, silent
+from magiclens.contract.units import LengthOrPercent, relative
 
 
 class Exhaustive(Matcher):

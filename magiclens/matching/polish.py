@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from magiclens.artifacts import FloatArray
+from magiclens.contract.artifacts import FloatArray
 from magiclens.images import to_display
 from magiclens.matching.search import distance_term, reachable
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from magiclens.artifacts import Candidates, Scene
+from magiclens.contract.artifacts import Candidates, Scene
 from magiclens.matching.channels import stack_channels
 from magiclens.matching.driver import Pool, finish, optics, unreached
 from magiclens.matching.exhaustive import Exhaustive

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit, prange
 
-from magiclens.artifacts import FloatArray, IntArray
+from magiclens.contract.artifacts import FloatArray, IntArray
 from magiclens.images import to_display
 
 DISPLAY = to_display(np.linspace(0.0, 1.0, 8192)).astype(np.float32)

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from magiclens.artifacts import Candidates, FloatArray, IntArray, Scene
+from magiclens.contract.artifacts import Candidates, FloatArray, IntArray, Scene
+from magiclens.contract.stages import Progress
 from magiclens.images import resize, to_display
 from magiclens.matching import joint
 from magiclens.matching.driver import Pool, optics, resolved_scales, seen_grain, unreached
 from magiclens.matching.polish import blur_levels, box_blur
 from magiclens.matching.raster import DISPLAY
-from magiclens.stages import Progress
 
 if TYPE_CHECKING:
     from magiclens.matching.multi_view import MultiView

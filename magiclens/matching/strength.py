@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from magiclens.artifacts import BoolArray, IntArray
+from magiclens.contract.artifacts import BoolArray, IntArray
 
 
 def injective_maps_bits(places: IntArray, usable: BoolArray, rng: np.random.Generator, rounds: int = 64) -> float:

@@ -6,12 +6,12 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from magiclens.artifacts import Lens, Scene, Solid
-from magiclens.errors import StageError
+from magiclens.contract.artifacts import Lens, Scene, Solid
+from magiclens.contract.errors import StageError
+from magiclens.contract.stages import Finisher, Progress, silent
+from magiclens.contract.units import Length
 from magiclens.meshing.smoothing import smoothed
 from magiclens.meshing.validation import Flaw, Search, validate
-from magiclens.stages import Finisher, Progress, silent
-from magiclens.units import Length
 
 
 class Pymeshlab(Finisher):

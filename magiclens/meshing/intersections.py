@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from magiclens.artifacts import FloatArray, IntArray, Solid
+from magiclens.contract.artifacts import FloatArray, IntArray, Solid
 
 
 def faces_that_cut(solid: Solid) -> IntArray:

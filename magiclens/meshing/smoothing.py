@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from magiclens.artifacts import FloatArray, Lens, Solid
+from magiclens.contract.artifacts import FloatArray, Lens, Solid
 
 
 def smoothed(solid: Solid, lens: Lens, bound_mm: float, iterations: int) -> tuple[Solid, float]:

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from magiclens.artifacts import IntArray, Solid
+from magiclens.contract.artifacts import IntArray, Solid
 from magiclens.meshing.intersections import cannot_cut_itself, faces_that_cut
 
 Search = Literal["auto", "always", "never"]

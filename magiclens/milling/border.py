@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from magiclens.artifacts import FloatArray, Solid
+from magiclens.contract.artifacts import FloatArray, Solid
 
 Rectangle = tuple[float, float, float, float]
 """Lowest and highest x, lowest and highest y."""

@@ -8,8 +8,8 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from magiclens.artifacts import FloatArray
-from magiclens.units import ANGLE, LENGTH, Angle, Length
+from magiclens.contract.artifacts import FloatArray
+from magiclens.contract.units import ANGLE, LENGTH, Angle, Length
 
 TEXT = re.compile(r"(\S+) (ball|flat|v)(?:, (\S+), (round|flat) tip (\S+))?, reach (\S+)")
 

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, PlainSerializer, WithJsonSchema, model_validator
 
-from magiclens.artifacts import Scene, Solid
+from magiclens.contract.artifacts import Scene, Solid
+from magiclens.contract.stages import Exporter
+from magiclens.contract.units import LENGTH, Length, Quantity
 from magiclens.milling.cutter import Cutter
-from magiclens.stages import Exporter
-from magiclens.units import LENGTH, Length, Quantity
 
 if TYPE_CHECKING:
     from magiclens.milling.program import Program

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 from pydantic import Field
 
-from magiclens.errors import InputError
+from magiclens.contract.errors import InputError
 from magiclens.milling.exporter import Milling
 
 if TYPE_CHECKING:

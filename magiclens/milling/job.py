@@ -12,15 +12,15 @@ from itertools import pairwise
 
 import numpy as np
 
-from magiclens.artifacts import Solid
-from magiclens.errors import InputError
+from magiclens.contract.artifacts import Solid
+from magiclens.contract.errors import InputError
+from magiclens.contract.units import LENGTH
 from magiclens.milling.border import Rectangle, top_of
 from magiclens.milling.cutter import scallop_mm
 from magiclens.milling.exporter import Milling
 from magiclens.milling.moves import Path
 from magiclens.milling.passes import SAG_MM, Pass
 from magiclens.milling.program import Facts, Program
-from magiclens.units import LENGTH
 
 MOST_TILES = 64
 SPARE_MM = 0.1

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magiclens.artifacts import BoolArray, FloatArray, IntArray
+from magiclens.contract.artifacts import BoolArray, FloatArray, IntArray
 
 RAPID_MM_PER_MIN = 3000.0
 """Speed of rapid moves, for estimates of the time."""

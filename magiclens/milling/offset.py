@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from magiclens.artifacts import FloatArray, IntArray, Solid
+from magiclens.contract.artifacts import FloatArray, IntArray, Solid
 from magiclens.milling.border import Rectangle
 from magiclens.milling.outline import distance_at, nearest, rise_at, touch
 from magiclens.milling.rows import HAIR_MM, by_row

@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from magiclens.artifacts import BoolArray, FloatArray, Solid
+from magiclens.contract.artifacts import BoolArray, FloatArray, Solid
 from magiclens.milling.border import Rectangle, inner, outer, top_of
 from magiclens.milling.cutter import Cutter
 from magiclens.milling.exporter import Milling

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from magiclens.artifacts import FloatArray
-from magiclens.errors import InputError
+from magiclens.contract.artifacts import FloatArray
+from magiclens.contract.errors import InputError
 from magiclens.milling.cutter import Cutter
 from magiclens.milling.moves import Moves
 

@@ -13,7 +13,7 @@ import re
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, ClassVar
 
-from magiclens.errors import InputError
+from magiclens.contract.errors import InputError
 from magiclens.milling.exporter import Milling
 
 if TYPE_CHECKING:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from magiclens.artifacts import FloatArray, IntArray
+from magiclens.contract.artifacts import FloatArray, IntArray
 
 HAIR_MM = 1e-7
 """Spans are widened by so much that rounding leaves nothing out."""

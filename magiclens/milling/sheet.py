@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
+from magiclens.contract.units import LENGTH
 from magiclens.milling.cutter import scallop_mm
 from magiclens.milling.exporter import Milling
 from magiclens.milling.job import Job
 from magiclens.milling.program import Facts, Program
-from magiclens.units import LENGTH
 
 
 def comments(job: Job, program: Program) -> list[str]:

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit, prange
 from scipy.ndimage import maximum_filter
 
-from magiclens.artifacts import FloatArray, IntArray
+from magiclens.contract.artifacts import FloatArray, IntArray
 from magiclens.milling.outline import distance_at, nearest, rise_at
 from magiclens.milling.rows import by_row
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from magiclens.artifacts import BoolArray, FloatArray
-from magiclens.errors import InputError
+from magiclens.contract.artifacts import BoolArray, FloatArray
+from magiclens.contract.errors import InputError
 from magiclens.images import luminance, read_image, resize, to_display
 from magiclens.images.resample import middle, square
 from magiclens.images.tones import toned

@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from magiclens.errors import InputError
+from magiclens.config.suggest import unknown
+from magiclens.contract.errors import InputError
 from magiclens.images import read_image
 from magiclens.new.judge import judge
 from magiclens.new.layouts import LAYOUTS, Order
-from magiclens.spec.suggest import unknown
 
 WIDTH = 110
 """Letters in a line of comment."""
@@ -127,7 +127,7 @@ def _comment(text: str, space: str) -> list[str]:
 
 def _write(out: Path, text: str) -> None:
     """Put the spec in its place once it has passed the check."""
-    from magiclens.plan import load_plan
+    from magiclens.plan.compile import load_plan
 
     handle, name = tempfile.mkstemp(prefix=f".{out.stem}-", suffix=".yaml", dir=out.parent)
     trial = Path(name)

@@ -10,7 +10,7 @@ from zipfile import ZipFile
 
 import numpy as np
 
-from magiclens.artifacts import FloatArray, IntArray, Solid
+from magiclens.contract.artifacts import FloatArray, IntArray, Solid
 
 KINDS = ("stl", "ply", "glb", "3mf", "obj")
 """Endings of mesh files, those that are quick to read first."""

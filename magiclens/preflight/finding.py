@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from magiclens.artifacts import BoolArray, IntArray, Lens
+from magiclens.contract.artifacts import BoolArray, IntArray, Lens
 
 Status = Literal["green", "amber", "red"]
 """Fit; look at it first; do not make it."""

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from magiclens.artifacts import FloatArray, Lens, Solid, View
-from magiclens.errors import InputError
+from magiclens.contract.artifacts import FloatArray, Lens, Solid, View
+from magiclens.contract.errors import InputError
 from magiclens.images.files import read_image
-from magiclens.plan import Plan
+from magiclens.plan.compile import Plan
 from magiclens.preflight import making, optics, picture, soundness
 from magiclens.preflight.exported import Exported, mesh_files, read_exported
 from magiclens.preflight.finding import Finding, Status, worst

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from magiclens.artifacts import Lens
+from magiclens.contract.artifacts import Lens
 from magiclens.preflight.exported import FLOOR_MM, Exported
 from magiclens.preflight.finding import Finding, Status, facets_with, first_of, graded
 from magiclens.preflight.optics import FEW, Top

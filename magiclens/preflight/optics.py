@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magiclens.artifacts import BoolArray, FloatArray, IntArray, Lens
+from magiclens.contract.artifacts import BoolArray, FloatArray, IntArray, Lens
 from magiclens.preflight.finding import Finding, facets_with, first_of, graded
 from magiclens.preflight.sight import Sight
 

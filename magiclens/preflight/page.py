@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from magiclens.artifacts import FloatArray
+from magiclens.contract.artifacts import FloatArray
+from magiclens.drawing.scales import Pixels
+from magiclens.pages.base import embedded, look
 from magiclens.preflight.finding import Finding
 from magiclens.preflight.inspect import Preflight
-from magiclens.report.page import embedded, look
-from magiclens.report.scales import Pixels
 
 SIDE = 640
 """Pixels of the map."""

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from magiclens.artifacts import FloatArray, IntArray, Lens, View
+from magiclens.contract.artifacts import FloatArray, IntArray, Lens, View
 from magiclens.images import resize, score
 from magiclens.preflight.exported import Exported
 from magiclens.preflight.finding import Finding, Status

@@ -13,7 +13,7 @@ from math import sqrt
 import numpy as np
 from numba import njit, prange
 
-from magiclens.artifacts import BoolArray, FloatArray, IntArray, Lens, View
+from magiclens.contract.artifacts import BoolArray, FloatArray, IntArray, Lens, View
 from magiclens.optics.refraction import refract, transmittance
 
 

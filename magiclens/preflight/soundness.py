@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from magiclens.artifacts import FloatArray, Lens, Solid
+from magiclens.contract.artifacts import FloatArray, Lens, Solid
 from magiclens.meshing.intersections import cannot_cut_itself, faces_that_cut
 from magiclens.meshing.validation import Findings, check_areas, check_topology, check_volume
 from magiclens.preflight.exported import Exported, read_exported

@@ -11,8 +11,8 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
+from magiclens.contract.units import ANGLE, LENGTH, Angle, Length
 from magiclens.profiles.data import read_data
-from magiclens.units import ANGLE, LENGTH, Angle, Length
 
 SPEED = r"^\d+(\.\d+)? ?mm/(min|s)$"
 

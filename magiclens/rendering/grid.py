@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magiclens.artifacts import FloatArray, Lens, Solid
-from magiclens.errors import InputError
+from magiclens.contract.artifacts import FloatArray, Lens, Solid
+from magiclens.contract.errors import InputError
 
 
 @dataclass(frozen=True)

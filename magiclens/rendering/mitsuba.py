@@ -21,9 +21,9 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field, field_validator
 
-from magiclens.artifacts import FloatArray, Lens, Scene, Solid, View
-from magiclens.errors import StageError
-from magiclens.stages import Progress, Renderer, silent
+from magiclens.contract.artifacts import FloatArray, Lens, Scene, Solid, View
+from magiclens.contract.errors import StageError
+from magiclens.contract.stages import Progress, Renderer, silent
 
 SMALLEST_GAP_MM = 0.05
 """A source that is closer to the slab's bottom is skipped by Mitsuba's ray epsilon."""

@@ -12,8 +12,8 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from magiclens.artifacts import FloatArray, Lens, Solid, Transport, View
-from magiclens.optics.looks import place
+from magiclens.contract.artifacts import FloatArray, Lens, Solid, Transport, View
+from magiclens.kernels.sampling import place
 from magiclens.optics.refraction import refract, transmittance
 from magiclens.rendering.grid import grid_of
 

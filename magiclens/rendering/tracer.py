@@ -7,8 +7,8 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from magiclens.artifacts import FloatArray, Scene, Solid
-from magiclens.stages import Progress, Renderer, silent
+from magiclens.contract.artifacts import FloatArray, Scene, Solid
+from magiclens.contract.stages import Progress, Renderer, silent
 
 
 class Tracer(Renderer):

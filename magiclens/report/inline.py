@@ -6,10 +6,10 @@ import base64
 import io
 from html import escape
 
-from magiclens.report.contact import contact_sheet
-from magiclens.report.data import RunData
-from magiclens.report.photographs import photographs
-from magiclens.report.sheet import sheet
+from magiclens.analysis.contact import contact_sheet
+from magiclens.contract.result import RunData
+from magiclens.drawing.photographs import photographs
+from magiclens.drawing.sheet import sheet
 
 WIDEST = 960
 """Pixels."""

@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-import base64
-import io
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from magiclens.report.data import RunData
-from magiclens.report.figure import Figure
-from magiclens.report.photographs import Photograph
-from magiclens.report.scales import Pixels
+from magiclens.contract.result import RunData
+from magiclens.drawing.figure import Figure
+from magiclens.drawing.photographs import Photograph
+from magiclens.pages.base import embedded, look
 from magiclens.report.tables import file_rows, headlines, lens_rows, metric_rows, option_rows, score_rows
-
-if TYPE_CHECKING:
-    from markupsafe import Markup
 
 
 def page(data: RunData, folder: Path, figures: Sequence[Figure], seen: Mapping[str, Sequence[Photograph]]) -> str:
@@ -41,19 +35,3 @@ def page(data: RunData, folder: Path, figures: Sequence[Figure], seen: Mapping[s
         stages=[(stage, option_rows(stage["options"])) for stage in facts["stages"]],
         files=file_rows(folder),
     )
-
-
-def look() -> Markup:
-    """The style sheet of what all pages have in common."""
-    from markupsafe import Markup
-
-    return Markup((files("magiclens.report") / "templates" / "look.css").read_text(encoding="utf-8"))
-
-
-def embedded(picture: Pixels) -> str:
-    """A data URI of a picture (H, W, 3)."""
-    from PIL import Image
-
-    content = io.BytesIO()
-    Image.fromarray(picture).save(content, "WEBP", quality=82, method=2)
-    return f"data:image/webp;base64,{base64.b64encode(content.getvalue()).decode()}"

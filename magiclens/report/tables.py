@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from magiclens.artifacts import Scene
-from magiclens.report.contact import place
-from magiclens.report.data import RunData
-from magiclens.report.photographs import Photograph
+from magiclens.analysis.contact import place
+from magiclens.contract.artifacts import Scene
+from magiclens.contract.result import RunData
+from magiclens.drawing.photographs import Photograph
 
 LABELS = {
     "matching_psnr_db": "Bound set by matching: if every facet showed its best candidate perfectly",

@@ -5,19 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from magiclens.report.annealed import before_after
-from magiclens.report.contact import contact_sheet
-from magiclens.report.data import RunData
-from magiclens.report.differences import error_map
-from magiclens.report.figure import Figure
-from magiclens.report.overlap import overlap_map
+from magiclens.analysis.annealed import before_after
+from magiclens.analysis.contact import contact_sheet
+from magiclens.analysis.differences import error_map
+from magiclens.analysis.overlap import overlap_map
+from magiclens.analysis.secrecy_figure import secrecy_map
+from magiclens.analysis.surface import height_map, step_map
+from magiclens.analysis.warp import warp_map
+from magiclens.analysis.zone_figures import zone_figures
+from magiclens.contract.result import RunData
+from magiclens.drawing.figure import Figure
+from magiclens.drawing.photographs import photographs
+from magiclens.drawing.sheet import sheet
 from magiclens.report.page import page
-from magiclens.report.photographs import photographs
-from magiclens.report.secrecy import secrecy_map
-from magiclens.report.sheet import sheet
-from magiclens.report.surface import height_map, step_map
-from magiclens.report.warp import warp_map
-from magiclens.report.zone import zone_figures
 
 if TYPE_CHECKING:
     from PIL.PngImagePlugin import PngInfo

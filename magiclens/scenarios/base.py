@@ -9,9 +9,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from magiclens.artifacts import BoolArray, FloatArray, Lens, Seen, View
+from magiclens.config.model import Choice, SpecModel, Viewer
+from magiclens.contract.artifacts import BoolArray, FloatArray, Lens, Seen, View
 from magiclens.scenarios.pictures import Art, Source, Target
-from magiclens.spec.model import Choice, SpecModel, Viewer
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,11 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 
-from magiclens.artifacts import BoolArray, FloatArray
+from magiclens.config.fields import ImageFile
+from magiclens.config.model import SpecModel
+from magiclens.contract.artifacts import BoolArray, FloatArray
+from magiclens.contract.units import Fraction, Length
 from magiclens.scenarios.pictures import Circles
-from magiclens.spec.fields import ImageFile
-from magiclens.spec.model import SpecModel
-from magiclens.units import Fraction, Length
 
 
 class _Cover(SpecModel, ABC):

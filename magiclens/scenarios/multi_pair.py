@@ -6,10 +6,10 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from magiclens.artifacts import Lens
+from magiclens.config.model import SpecModel, Viewer
+from magiclens.contract.artifacts import Lens
 from magiclens.scenarios.base import Scenario, Shot
 from magiclens.scenarios.pictures import Source, Target
-from magiclens.spec.model import SpecModel, Viewer
 
 
 class Pair(SpecModel):

@@ -7,11 +7,11 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field, model_validator
 
-from magiclens.artifacts import FloatArray, Lens
+from magiclens.config.model import Choice, SpecModel, Viewer
+from magiclens.contract.artifacts import FloatArray, Lens
+from magiclens.contract.units import Angle, Length
 from magiclens.scenarios.base import Scenario, Shot, toward
 from magiclens.scenarios.pictures import Source, Target
-from magiclens.spec.model import Choice, SpecModel, Viewer
-from magiclens.units import Angle, Length
 
 
 class Eye(SpecModel):

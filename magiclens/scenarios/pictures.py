@@ -18,10 +18,10 @@ from pydantic import (
     model_validator,
 )
 
-from magiclens.artifacts import FloatArray
-from magiclens.spec.fields import ArtName, ImageFile
-from magiclens.spec.model import SpecModel
-from magiclens.units import Fraction, Length
+from magiclens.config.fields import ArtName, ImageFile
+from magiclens.config.model import SpecModel
+from magiclens.contract.artifacts import FloatArray
+from magiclens.contract.units import Fraction, Length
 
 Art = Mapping[str, Callable[[int], FloatArray]]
 """Named pictures: from a size in pixels to (size, size, C) linear light."""

@@ -7,14 +7,14 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from magiclens.artifacts import BoolArray, FloatArray, Lens
+from magiclens.config.fields import ImageFile
+from magiclens.config.model import Choice, SpecModel, Viewer
+from magiclens.contract.artifacts import BoolArray, FloatArray, Lens
+from magiclens.contract.units import Length
 from magiclens.scenarios.base import Scenario, Shot
 from magiclens.scenarios.camouflage import Camouflage
 from magiclens.scenarios.pictures import Art, Source, Target
 from magiclens.scenarios.universal_animation import masked, universal
-from magiclens.spec.fields import ImageFile
-from magiclens.spec.model import Choice, SpecModel, Viewer
-from magiclens.units import Length
 
 PAPER = 0.98
 """Display values below this are ink."""

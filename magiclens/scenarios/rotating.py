@@ -6,11 +6,11 @@ from typing import Annotated, ClassVar
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
-from magiclens.artifacts import Lens
+from magiclens.config.model import Viewer
+from magiclens.contract.artifacts import Lens
+from magiclens.contract.units import ANGLE, Angle
 from magiclens.scenarios.base import Scenario, Shot
 from magiclens.scenarios.pictures import Source, Target
-from magiclens.spec.model import Viewer
-from magiclens.units import ANGLE, Angle
 
 
 def _quarter(angle_deg: float) -> float:

@@ -8,11 +8,11 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from magiclens.artifacts import FloatArray, Lens
+from magiclens.config.model import Choice, Viewer
+from magiclens.contract.artifacts import FloatArray, Lens
+from magiclens.contract.units import Angle
 from magiclens.scenarios.base import Scenario, Shot, toward
 from magiclens.scenarios.pictures import Source, Target
-from magiclens.spec.model import Choice, Viewer
-from magiclens.units import Angle
 
 OUTER = math.sqrt(2)
 """The outer cone is so much wider than the inner one. No gap is left between eyes: facets are refined for the eyes, and

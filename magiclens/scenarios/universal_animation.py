@@ -11,12 +11,12 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic import Field, ValidationInfo, model_validator
 
-from magiclens.artifacts import BoolArray, FloatArray, Lens
+from magiclens.config.fields import ImageFile, InputFile
+from magiclens.config.model import Choice, Viewer
+from magiclens.contract.artifacts import BoolArray, FloatArray, Lens
 from magiclens.scenarios.base import Scenario, Shot
 from magiclens.scenarios.camouflage import Camouflage
 from magiclens.scenarios.pictures import Art, Look, Source, Target
-from magiclens.spec.fields import ImageFile, InputFile
-from magiclens.spec.model import Choice, Viewer
 
 STEP_WEIGHT = 1e-5
 MOST_FRAMES = 64
@@ -139,7 +139,7 @@ def masked(path: Path, side: int) -> BoolArray:
 @lru_cache(maxsize=2)
 def _movie(path: Path) -> Sequence[FloatArray]:
     """The frames of a movie file, (H, W, C) each; InputError if there are too many."""
-    from magiclens.errors import InputError
+    from magiclens.contract.errors import InputError
     from magiclens.images.movies import read_frames
 
     frames = [np.asarray(frame) for frame in islice(read_frames(path), MOST_FRAMES + 1)]

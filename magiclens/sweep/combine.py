@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from magiclens.errors import InputError
+from magiclens.contract.errors import InputError
 
 LONGEST = 100
 """Letters in the name of a folder."""

@@ -11,9 +11,9 @@ from urllib.parse import quote
 
 import numpy as np
 
-from magiclens.report.page import embedded
-from magiclens.report.scales import Pixels
-from magiclens.report.sheet import Tile, display, grid, sheet
+from magiclens.drawing.scales import Pixels
+from magiclens.drawing.sheet import Tile, display, grid, sheet
+from magiclens.pages.base import embedded
 from magiclens.report.tables import measure
 from magiclens.sweep.table import scores, shown_by
 

@@ -13,13 +13,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from magiclens.errors import InputError, MagicLensError
-from magiclens.executors import Executor, Serial
-from magiclens.folder import MANIFEST
-from magiclens.plan import load_plan
-from magiclens.registry import Registry, blaming
+from magiclens.contract.errors import InputError, MagicLensError
+from magiclens.contract.executors import Executor, Serial
+from magiclens.plan.compile import load_plan
+from magiclens.plan.registry import Registry, blaming
+from magiclens.running.folder import MANIFEST
+from magiclens.running.jobs import Task, finished, make
 from magiclens.sweep.combine import Combination, combinations
-from magiclens.tasks import Task, finished, make
 
 Say = Callable[[str], None]
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from statistics import mean
 from typing import TYPE_CHECKING, Any
 
-from magiclens.manifest import REFERENCE_RENDERER
+from magiclens.running.manifest import REFERENCE_RENDERER
 
 if TYPE_CHECKING:
     from magiclens.sweep.sweeping import Result, Sweep

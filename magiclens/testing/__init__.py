@@ -6,7 +6,7 @@
         stage = Mine()
 
 What the classes ask is what runs rely on: equal seeds give equal artifacts, inputs stay as they are, artifacts have the
-shapes and units that ``magiclens.stages`` promises. ``scenes`` may name other scenes than the usual two.
+shapes and units that ``magiclens.contract.stages`` promises. ``scenes`` may name other scenes than the usual two.
 """
 
 from magiclens.testing.annealer import AnnealerContract

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from magiclens.artifacts import Assignment, Candidates, Scene
-from magiclens.checks import check_assignment
-from magiclens.stages import Annealer, Progress
+from magiclens.contract.artifacts import Assignment, Candidates, Scene
+from magiclens.contract.checks import check_assignment
+from magiclens.contract.stages import Annealer, Progress
 from magiclens.testing.scenes import some_candidates
 from magiclens.testing.stage import SEED, Made, StageContract, digest
 

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from magiclens.artifacts import Scene, Transport
-from magiclens.checks import check_encoded
+from magiclens.contract.artifacts import Scene, Transport
+from magiclens.contract.checks import check_encoded
+from magiclens.contract.stages import Encoder, Progress
 from magiclens.images import resize, score
-from magiclens.stages import Encoder, Progress
 from magiclens.testing.scenes import bumpy_solid
 from magiclens.testing.stage import Made, StageContract
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from magiclens.artifacts import FloatArray, IntArray, Scene, Solid
-from magiclens.checks import BadArtifact, check_file
-from magiclens.stages import Exporter, Progress
+from magiclens.contract.artifacts import FloatArray, IntArray, Scene, Solid
+from magiclens.contract.checks import BadArtifact, check_file
+from magiclens.contract.stages import Exporter, Progress
 from magiclens.testing.meshes import assert_closed, volume_mm3
 from magiclens.testing.scenes import bumpy_solid
 from magiclens.testing.stage import Made, StageContract

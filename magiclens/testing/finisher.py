@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from magiclens.artifacts import Scene, Solid
-from magiclens.checks import check_solid
+from magiclens.contract.artifacts import Scene, Solid
+from magiclens.contract.checks import check_solid
+from magiclens.contract.stages import Finisher, Progress
 from magiclens.images import score
-from magiclens.stages import Finisher, Progress
 from magiclens.testing.meshes import assert_closed, volume_mm3
 from magiclens.testing.scenes import bumpy_solid
 from magiclens.testing.stage import Made, StageContract

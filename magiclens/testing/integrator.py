@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from magiclens.artifacts import FloatArray, HeightField, Scene
-from magiclens.checks import BadArtifact, check_height_field
+from magiclens.contract.artifacts import FloatArray, HeightField, Scene
+from magiclens.contract.checks import BadArtifact, check_height_field
+from magiclens.contract.stages import Integrator, Progress
+from magiclens.geometry.solid import solid_from_heights
 from magiclens.integration.measures import slopes_deg
-from magiclens.meshing.solid import solid_from_heights
-from magiclens.stages import Integrator, Progress
 from magiclens.testing.scenes import an_assignment, ramps
 from magiclens.testing.stage import SEED, Made, StageContract, digest
 

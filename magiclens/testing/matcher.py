@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from magiclens.artifacts import Assignment, Candidates, Scene
-from magiclens.checks import check_candidates
-from magiclens.facets import central_slopes
-from magiclens.stages import Matcher, Progress
+from magiclens.contract.artifacts import Assignment, Candidates, Scene
+from magiclens.contract.checks import check_candidates
+from magiclens.contract.stages import Matcher, Progress
+from magiclens.geometry.facets import central_slopes
 from magiclens.testing.scenes import flat_heights
 from magiclens.testing.stage import Made, StageContract, digest
 
@@ -82,7 +82,7 @@ class MatcherContract(StageContract):
 
 def _bound_db(scene: Scene, candidates: Candidates) -> float:
     """PSNR if every facet realised its best candidate exactly."""
-    from magiclens.matching.predict import bound_psnr_db
+    from magiclens.analysis.ideal import bound_psnr_db
 
     first = Assignment.pick(candidates, candidates.errors.argmin(axis=-1))
     return bound_psnr_db(scene, first, candidates.heights_mm)

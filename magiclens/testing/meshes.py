@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from magiclens.artifacts import FloatArray, IntArray
+from magiclens.contract.artifacts import FloatArray, IntArray
 
 
 def assert_closed(vertices: FloatArray, faces: IntArray) -> None:

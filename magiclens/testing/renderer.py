@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from magiclens.artifacts import FloatArray, Scene
-from magiclens.checks import check_pictures
+from magiclens.contract.artifacts import FloatArray, Scene
+from magiclens.contract.checks import check_pictures
+from magiclens.contract.stages import Progress, Renderer
 from magiclens.images import resize, score
-from magiclens.stages import Progress, Renderer
 from magiclens.testing.scenes import bumpy_solid
 from magiclens.testing.stage import Made, StageContract
 

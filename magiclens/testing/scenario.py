@@ -6,9 +6,9 @@ import json
 
 import numpy as np
 
-from magiclens.artifacts import Lens
+from magiclens.config.model import Viewer
+from magiclens.contract.artifacts import Lens
 from magiclens.scenarios.base import Scenario
-from magiclens.spec.model import Viewer
 from magiclens.testing.stage import digest
 
 LENS = Lens(size_mm=20.0, source_size_mm=20.0, facets=4, microfacets=4)

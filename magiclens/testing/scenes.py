@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from magiclens.artifacts import Assignment, Candidates, FloatArray, HeightField, Lens, Scene, Solid, View
+from magiclens.contract.artifacts import Assignment, Candidates, FloatArray, HeightField, Lens, Scene, Solid, View
+from magiclens.geometry.solid import solid_from_heights
 from magiclens.images import COLOURED, circles, resize
-from magiclens.meshing.solid import solid_from_heights
 
 LENS = Lens(
     size_mm=12.0, source_size_mm=36.0, facets=4, microfacets=8, thickness_mm=20.0, relief_mm=2.0, floor_mm=30.0

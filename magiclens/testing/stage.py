@@ -13,10 +13,10 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from magiclens.artifacts import Scene
-from magiclens.checks import BadArtifact
-from magiclens.registry import stage_flaw
-from magiclens.stages import Progress, Stage
+from magiclens.contract.artifacts import Scene
+from magiclens.contract.checks import BadArtifact
+from magiclens.contract.stages import Progress, Stage
+from magiclens.plan.registry import stage_flaw
 from magiclens.testing.scenes import one_view, two_turns
 
 SEED = 20

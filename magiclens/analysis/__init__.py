@@ -1,0 +1,1 @@
+"""What a finished lens is like, in numbers and figures."""

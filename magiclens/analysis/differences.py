@@ -1,0 +1,51 @@
+"""Where the simulated photographs differ from the targets."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from magiclens.contract.artifacts import FloatArray, View
+from magiclens.drawing.figure import Figure
+from magiclens.drawing.photographs import Photograph
+from magiclens.drawing.scales import DIVERGING, Pixels, Scale
+from magiclens.drawing.sheet import Tile, grid
+from magiclens.images.colour import luminance, to_display
+from magiclens.images.resample import resize
+
+SIDE = 512
+SCALE = Scale(DIVERGING, -1.0, 1.0)
+
+
+def error_map(renderer: str, photos: Sequence[Photograph], views: Sequence[View], facets: int) -> Figure:
+    """One tile per view: display values of the photograph less those of the target, and the grid of facets."""
+    tiles = []
+    for view, photo in zip(views, photos, strict=True):
+        picture = gridded(SCALE.paint(difference(photo.picture, photo.target, SIDE)), facets)
+        tiles.append(Tile(picture, "", f"{view.name}: {photo.caption}"))
+    rows = [[*row[:-1], replace(row[-1], scale=SCALE)] for row in grid(tiles)]
+    return Figure(
+        "error",
+        "Where the picture differs",
+        rows,
+        f"The photograph of the {renderer} against the target, display values from 0 to 1: "
+        "red is too bright, blue too dark, white right; lines are the edges of facets.",
+    )
+
+
+def difference(picture: FloatArray, target: FloatArray, side: int) -> FloatArray:
+    """(side, side): display values of a picture less those of its target, both (., ., C) linear light."""
+    seen, wanted = (to_display(luminance(resize(image, (side, side)))) for image in (picture, target))
+    return np.asarray(seen - wanted)
+
+
+def gridded(picture: Pixels, facets: int) -> Pixels:
+    """The picture (S, S, 3) with thin lines between facets, fainter the closer they stand."""
+    side = len(picture)
+    edges = np.rint(np.arange(1, facets) * side / facets).astype(int)
+    line = np.zeros((side, side), bool)
+    line[edges] = line[:, edges] = True
+    strength = min(0.16, 0.012 * side / facets)
+    return np.where(line[..., None], picture * (1 - strength), picture).astype(np.uint8)

@@ -1,0 +1,233 @@
+"""A spec file as plain data that remembers where every key came from: a line of the file, or a ``--set``."""
+
+from __future__ import annotations
+
+import datetime
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from magiclens.config.suggest import advice, nearest
+from magiclens.contract.errors import InputError
+
+Keys = tuple[str | int, ...]
+"""Where a value sits: mapping keys and list indices from the top, such as ("scenario", "targets", 1, "art")."""
+
+
+@dataclass(frozen=True)
+class Override:
+    """One ``--set key.path=value``; ``keys`` have list indices as integers."""
+
+    text: str
+    keys: Keys
+
+    @property
+    def where(self) -> str:
+        """How an error names this override."""
+        return f"--set {self.text}"
+
+
+@dataclass(frozen=True)
+class Document:
+    """Plain dicts, lists and scalars, and where they were written. ``name`` is the file as the user called it."""
+
+    name: str
+    data: dict[str, Any]
+    lines: Mapping[Keys, int] = field(default_factory=dict)
+    overrides: tuple[Override, ...] = ()
+
+    @property
+    def folder(self) -> Path:
+        """Paths in the spec are relative to this."""
+        return Path(self.name).parent
+
+    def where(self, at: Keys) -> str:
+        """``file:line`` or ``--set ...`` of a key, or of the nearest enclosing one that was written.
+
+        What was no file has no lines.
+        """
+        override = self._override(at)
+        if override:
+            return override.where
+        return f"{self.name}:{self._line(at)}" if self.lines else self.name
+
+    def order(self, at: Keys) -> tuple[int, int]:
+        """Sorts keys as they were written: by line, overrides last."""
+        override = self._override(at)
+        return (1, self.overrides.index(override)) if override else (0, self._line(at))
+
+    def written(self, at: Keys) -> bool:
+        """Whether somebody wrote this key, rather than left it to its default."""
+        return at in self.lines or self._override(at) is not None
+
+    def get(self, at: Keys) -> Any:
+        """The value at these keys, None if there is none."""
+        node: Any = self.data
+        for key in at:
+            node = child(node, key)
+        return node
+
+    def _override(self, at: Keys) -> Override | None:
+        return next((o for o in reversed(self.overrides) if at[: len(o.keys)] == o.keys), None)
+
+    def _line(self, at: Keys) -> int:
+        return next((self.lines[at[:n]] for n in range(len(at), -1, -1) if at[:n] in self.lines), 1)
+
+
+def dotted(at: Keys) -> str:
+    """Keys as ``--set`` and messages write them: ``scenario.targets.1.art``."""
+    return ".".join(str(key) for key in at)
+
+
+def read_document(path: str | Path, overrides: Iterable[str] = ()) -> Document:
+    """Read a YAML spec and lay the ``key.path=value`` overrides over it. Raises InputError."""
+    name = str(path)
+    tree = _parse(_read(Path(path)), name)
+    lines: dict[Keys, int] = {(): 1}
+    data = _plain(tree, (), lines)
+    if not isinstance(data, dict):
+        found = "is empty" if data is None else f"holds {_kind(data)} instead of a mapping"
+        raise InputError(f"the file {found}; a spec starts with a line such as 'scenario:'", f"{name}:1")
+    return Document(name, data, lines, tuple(_apply(data, text) for text in overrides))
+
+
+def document_of(data: Mapping[str, Any], overrides: Iterable[str] = ()) -> Document:
+    """A spec that is data already, such as a dict; tuples are lists, paths are text. Paths in it start here."""
+    copy = _copied(data)
+    return Document("spec", copy, {}, tuple(_apply(copy, text) for text in overrides))
+
+
+def _copied(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _copied(child) for key, child in value.items()}
+    if isinstance(value, list | tuple):
+        return [_copied(child) for child in value]
+    return str(value) if isinstance(value, Path) else value
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise InputError(missing_file(path), str(path)) from None
+    except IsADirectoryError:
+        raise InputError("this is a folder; name a spec file (.yaml)", str(path)) from None
+    except UnicodeDecodeError:
+        raise InputError("this is not a text file; a spec is YAML in UTF-8", f"{path}:1") from None
+    except OSError as error:
+        raise InputError(f"the file cannot be read: {error.strerror}", str(path)) from None
+
+
+def missing_file(path: Path) -> str:
+    """What to say about a file that is not there, naming one with a similar name."""
+    near = nearest(path.name, (p.name for p in path.parent.iterdir())) if path.parent.is_dir() else None
+    return f"there is no file '{path}'" + (f"; did you mean '{path.parent / near}'?" if near else "")
+
+
+def _parse(text: str, name: str) -> Any:
+    """The round-trip tree of a YAML text: it knows line numbers and refuses duplicate keys."""
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import MarkedYAMLError, YAMLError
+
+    try:
+        return YAML(typ="rt").load(text)
+    except MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        line = mark.line if mark else 0
+        raise InputError(_syntax(str(error.problem), text, line), f"{name}:{line + 1}") from None
+    except RecursionError:
+        raise InputError("this is nested too deeply", f"{name}:1") from None
+    except (YAMLError, ValueError) as error:
+        raise InputError(f"this is not YAML: {str(error).splitlines()[0]}", f"{name}:1") from None
+
+
+def _syntax(problem: str, text: str, line: int) -> str:
+    duplicate = re.match(r'found duplicate key "([^"]*)"', problem)
+    if duplicate:
+        return f"the key '{duplicate[1]}' appears twice in one mapping; keep one of them"
+    lines = text.splitlines() or [""]
+    if re.match(r" *\t", lines[min(line, len(lines) - 1)]) or r"'\t'" in problem:
+        return "a tab indents this line; YAML is indented with spaces"
+    return f"this is not YAML: {problem}"
+
+
+def _plain(node: Any, at: Keys, lines: dict[Keys, int]) -> Any:
+    """Plain Python data of a round-trip tree; fills ``lines``."""
+    if isinstance(node, dict):
+        return {str(key): _plain(node[key], _mark(node, key, at, lines), lines) for key in node}
+    if isinstance(node, list):
+        return [_plain(item, _mark(node, i, at, lines), lines) for i, item in enumerate(node)]
+    return _scalar(node)
+
+
+def _mark(node: Any, key: Any, at: Keys, lines: dict[Keys, int]) -> Keys:
+    """The child's keys, its line noted; keys that a merge (``<<``) brought in have none."""
+    child = (*at, key if isinstance(node, list) else str(key))
+    place = (node.lc.data or {}).get(key)
+    if place:
+        lines[child] = place[0] + 1
+    return child
+
+
+def _scalar(node: Any) -> Any:
+    from ruamel.yaml.scalarbool import ScalarBoolean
+
+    if node is None or isinstance(node, bool):
+        return node
+    if isinstance(node, ScalarBoolean):
+        return bool(node)
+    for plain in (int, float, str):
+        if isinstance(node, plain):
+            return plain(node)
+    return node.isoformat() if isinstance(node, datetime.date) else str(node)
+
+
+def _apply(data: dict[str, Any], text: str) -> Override:
+    """Lay one ``key.path=value`` over the data, in place."""
+    path, equals, value = text.partition("=")
+    if not equals or not all(path.split(".")):
+        raise InputError("write key.path=value, such as lens.facets=64", f"--set {text}")
+    where = f"--set {text}"
+    *parents, last = path.strip().split(".")
+    node: Any = data
+    keys: Keys = ()
+    for part in parents:
+        keys = (*keys, _index(node, part, keys, where))
+        node = _descend(node, keys[-1])
+    keys = (*keys, _index(node, last, keys, where))
+    node[keys[-1]] = _plain(_parse(value, where), (), {})
+    return Override(text, keys)
+
+
+def _descend(node: Any, key: str | int) -> Any:
+    """The child to walk into; a mapping that is not there is made."""
+    if isinstance(node, dict) and node.get(str(key)) is None:
+        node[key] = {}
+    return node[key]
+
+
+def _index(node: Any, part: str, at: Keys, where: str) -> str | int:
+    """The key or list index that ``part`` names in ``node``."""
+    if isinstance(node, dict):
+        return part
+    if not isinstance(node, list):
+        raise InputError(f"'{dotted(at)}' is {_kind(node)}, it has no '{part}'", where)
+    choices = [str(i) for i in range(len(node))]
+    if part not in choices:
+        raise InputError(f"'{dotted(at)}' is a list of {len(node)}; {advice(part, choices)}", where)
+    return int(part)
+
+
+def child(node: Any, key: str | int) -> Any:
+    """The value at one key or index, None if there is none."""
+    if isinstance(node, dict):
+        return node.get(key)
+    inside = isinstance(node, list) and isinstance(key, int) and key < len(node)
+    return node[key] if inside else None
+
+
+def _kind(value: object) -> str:
+    names = {list: "a list", dict: "a mapping", bool: "true or false", int: "a number", float: "a number"}
+    return names.get(type(value), "text")

@@ -1,0 +1,204 @@
+"""What a spec may say. Scenario and stages stay plain mappings: which there are is known to the registry only."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, field_validator, model_validator
+
+from magiclens.config.suggest import shown, unknown
+from magiclens.contract.artifacts import FloatArray, Lens
+from magiclens.contract.units import FRACTION, LENGTH, Angle, Fraction, Length
+from magiclens.profiles.materials import materials
+
+DEFAULT_STAGES = {"matcher": "exhaustive", "annealer": "heat-bath", "integrator": "poisson", "finisher": "pymeshlab"}
+"""The stage of each kind that runs when neither the spec nor the scenario chooses."""
+
+DEFAULT_ENCODER = "least-squares"
+"""The encoder that runs when a spec wants one without naming it."""
+
+
+class SpecModel(BaseModel):
+    """Base of the models that a spec is made of: unknown keys are errors, values do not change."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
+
+
+def _material_names(schema: dict[str, Any]) -> None:
+    """Lists the materials in a JSON Schema."""
+    schema["anyOf"] = [{"enum": [*materials()]}, {"type": "null"}]
+
+
+class LensSpec(SpecModel):
+    """The slab: its size, its facets, its material and its limits."""
+
+    size: Length = Field("100mm", validate_default=True, gt=0, description="side of the square lens")
+    facets: int = Field(32, strict=True, ge=1, le=1024, description="facets along one side")
+    microfacets: int = Field(22, strict=True, ge=1, le=256, description="micro-facets along one side of a facet")
+    thickness: Length = Field("40mm", validate_default=True, gt=0, description="height of the reference plane")
+    gap: Length = Field("0mm", validate_default=True, ge=0, description="air between the source and the flat bottom")
+    material: str | None = Field(
+        None,
+        description="what the lens is made of; acrylic unless ior is given",
+        json_schema_extra=_material_names,
+    )
+    ior: float | None = Field(None, gt=1, le=4, description="index of refraction, instead of a material")
+    wall: Length = Field("0.5um", validate_default=True, gt=0, description="width of the strip between two facets")
+    relief: Length = Field(
+        "5mm", validate_default=True, gt=0, description="how far the top may leave the reference plane"
+    )
+    max_slope: Angle = Field("60deg", validate_default=True, gt=0, lt=90, description="steepest facet")
+    cells: Literal["eye", "vertical"] = Field("eye", description="facets are cut along eye rays or vertically")
+
+    @field_validator("material")
+    @classmethod
+    def _known_material(cls, value: str | None) -> str | None:
+        if value is not None and value not in materials():
+            raise ValueError(unknown("material", value, materials()))
+        return value
+
+    @field_validator("ior")
+    @classmethod
+    def _material_or_ior(cls, value: float | None, info: ValidationInfo) -> float | None:
+        if value is not None and info.data.get("material"):
+            raise ValueError("give a material or an ior, not both")
+        return value
+
+    @field_validator("wall")
+    @classmethod
+    def _wall_fits(cls, value: float, info: ValidationInfo) -> float:
+        pitch = info.data.get("size", math.inf) / info.data.get("facets", 1)
+        if value > pitch / 2:
+            raise ValueError(f"the wall is wider than half a facet; at most {LENGTH.text(pitch / 2)}")
+        return value
+
+    @field_validator("relief")
+    @classmethod
+    def _relief_fits(cls, value: float, info: ValidationInfo) -> float:
+        thickness = info.data.get("thickness", math.inf)
+        if value >= thickness:
+            raise ValueError(f"the relief would cut through the slab; less than {LENGTH.text(thickness)}")
+        return value
+
+    @model_validator(mode="before")
+    @classmethod
+    def _default_material(cls, data: Any) -> Any:
+        if isinstance(data, dict) and data.get("material") is None and data.get("ior") is None:
+            return {**data, "material": "acrylic"}
+        return data
+
+    def build(self) -> Lens:
+        """The lens, with a source as large as itself."""
+        ior = materials()[self.material].ior if self.material else self.ior
+        return Lens(
+            size_mm=self.size,
+            source_size_mm=self.size,
+            facets=self.facets,
+            microfacets=self.microfacets,
+            thickness_mm=self.thickness,
+            gap_mm=self.gap,
+            ior=float(ior or 0),
+            wall_mm=self.wall,
+            relief_mm=self.relief,
+            max_slope_deg=self.max_slope,
+            cells=self.cells,
+        )
+
+
+class Viewer(SpecModel):
+    """Where the eye is; a pinhole."""
+
+    distance: Length = Field("400mm", validate_default=True, gt=0, description="from the reference plane to the eye")
+    x: Length = Field("0mm", validate_default=True, description="to the right of the lens's centre")
+    y: Length = Field("0mm", validate_default=True, description="above the lens's centre, as the viewer sees it")
+
+    def eye_mm(self, lens: Lens) -> FloatArray:
+        """(3,) float64, world frame."""
+        return np.array([self.x, self.y, lens.thickness_mm + self.distance])
+
+
+def _choice(value: object) -> object:
+    if not isinstance(value, dict):
+        example = value if isinstance(value, str) else "name"
+        raise ValueError(f"expected a mapping such as {{type: {example}}}, got {shown(value)}")
+    return value
+
+
+Choice = Annotated[dict[str, Any], BeforeValidator(_choice)]
+"""A mapping with a ``type`` and the options of that type, not resolved yet."""
+
+
+class Medium(SpecModel):
+    """How dark and how bright the sheet or the screen gets that shows the source: a printed black is not 0."""
+
+    black: Fraction = Field("0%", validate_default=True, ge=0, lt=1, description="light that black reflects")
+    white: Fraction = Field("100%", validate_default=True, gt=0, le=1, description="light that white reflects")
+
+    @field_validator("white")
+    @classmethod
+    def _white_is_brighter(cls, value: float, info: ValidationInfo) -> float:
+        black = info.data.get("black", 0.0)
+        if value <= black:
+            raise ValueError(f"white must be brighter than black, more than {FRACTION.text(black)}")
+        return value
+
+    def shown(self, linear: FloatArray) -> FloatArray:
+        """What is seen of a picture in linear light, of any shape; 1 is the medium's white, to which the eye adapts."""
+        darkest = self.black / self.white
+        seen: FloatArray = np.float32(darkest) + np.float32(1 - darkest) * linear
+        return seen
+
+
+def _machine(value: object) -> object:
+    if value is not None and not isinstance(value, dict):
+        raise ValueError(f"expected a mapping such as {{machine: printing}}, got {shown(value)}")
+    return value
+
+
+Making = Annotated[dict[str, Any] | None, BeforeValidator(_machine)]
+"""A mapping with a ``machine`` and options of that machine, not resolved yet."""
+
+
+class PipelineSpec(SpecModel):
+    """Which stage of each kind runs, with which options."""
+
+    matcher: Choice = Field({}, description="finds candidates for every facet")
+    annealer: Choice = Field({}, description="chooses one candidate per facet")
+    integrator: Choice = Field({}, description="turns choices into heights")
+    finisher: Choice = Field({}, description="repairs and checks the mesh")
+    encoder: Choice | None = Field(None, description="edits the source so that the finished lens shows the targets")
+    exporters: list[Choice] = Field([{"type": "stl"}], description="files to write")
+    renderers: list[Choice] = Field([{"type": "tracer"}], description="simulated photographs to take")
+    rematch: int = Field(
+        0, strict=True, ge=0, le=100,
+        description="rounds of re-scoring candidates with the lens as it has become, while that helps",
+    )  # fmt: skip
+    codesign: int = Field(
+        0, strict=True, ge=0, le=100, description="rounds of editing the source and designing the lens again for it"
+    )
+
+    def choice(self, kind: str, suited: Mapping[str, Choice]) -> Choice | None:
+        """The stage of a kind: as written, over what suits the scenario, over the default; None for no encoder."""
+        written: Choice | None = getattr(self, kind)
+        wanted = kind in DEFAULT_STAGES or kind in suited or written is not None or self.codesign > 0
+        if not wanted:
+            return None
+        usual = suited.get(kind) or {"type": DEFAULT_STAGES.get(kind, DEFAULT_ENCODER)}
+        written = written or {}
+        return {**usual, **written} if written.get("type", usual["type"]) == usual["type"] else written
+
+
+class Spec(SpecModel):
+    """A whole spec. Every key but ``scenario`` has a default."""
+
+    name: str = Field("lens", pattern=r"^[A-Za-z0-9][A-Za-z0-9._ -]*$", description="names the run folder")
+    seed: int = Field(0, strict=True, ge=0, description="equal seeds give equal lenses")
+    scenario: Choice = Field(description="what the lens shows, from where")
+    lens: LensSpec = Field(default_factory=LensSpec, description="the slab")
+    viewer: Viewer = Field(default_factory=Viewer, description="the eye")
+    medium: Medium | None = Field(None, description="black and white of what shows the source; ideal ones if left out")
+    fabrication: Making = Field(None, description="the machine that makes the lens: its limits hold")
+    pipeline: PipelineSpec = Field(default_factory=PipelineSpec, description="the stages")

@@ -1,0 +1,104 @@
+"""The JSON Schema of specs, for editors; draft 7, which all of them read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from pydantic import BaseModel
+from pydantic.errors import PydanticInvalidForJsonSchema
+from pydantic.json_schema import GenerateJsonSchema
+
+from magiclens.config.fields import ART_FORMAT
+from magiclens.config.model import DEFAULT_STAGES, Spec
+from magiclens.contract.units import LengthOrPercent
+from magiclens.profiles.machines import PROCESSES, machines
+
+Classes = Mapping[str, type[BaseModel]]
+"""Models by the ``type`` that a spec picks them by."""
+
+DRAFT = "http://json-schema.org/draft-07/schema#"
+REF = "#/definitions/"
+ART = "ArtName"
+SINGLE = (*DEFAULT_STAGES, "encoder")
+"""Kinds of which a pipeline has one stage; it may have options without a ``type``."""
+LISTS = {"exporters": "exporter", "renderers": "renderer"}
+
+
+class Draft7(GenerateJsonSchema):
+    """Pydantic's generator, with defaults as a spec writes them."""
+
+    def encode_default(self, dft: Any) -> Any:
+        """Text for what a spec writes as text."""
+        return str(dft) if isinstance(dft, LengthOrPercent) else super().encode_default(dft)
+
+
+def json_schema(scenarios: Classes, stages: Mapping[str, Classes], art: Iterable[str]) -> dict[str, Any]:
+    """The schema of a whole spec; ``stages`` is by kind."""
+    spec = Spec.model_json_schema(ref_template=f"{REF}{{model}}", schema_generator=Draft7)
+    definitions = spec.pop("$defs")
+    for noun, classes in {"scenario": scenarios, **stages}.items():
+        for type_, cls in classes.items():
+            definitions[f"{noun}-{type_}"] = _definition(noun, type_, cls)
+    for process, model in PROCESSES.items():
+        definitions[f"machine-{process}"] = _machine(process, model)
+    _set(spec["properties"]["scenario"], _one_of("scenario", scenarios))
+    _set(spec["properties"]["fabrication"], {**_one_of("machine", PROCESSES), "type": "object"})
+    pipeline = definitions["PipelineSpec"]["properties"]
+    for kind in SINGLE:
+        _set(pipeline[kind], _any_of(kind, stages[kind]))
+    for key, kind in LISTS.items():
+        pipeline[key]["items"] = _one_of(kind, stages[kind])
+    whole = {"$schema": DRAFT, **spec, "title": "magic lens spec"}
+    return {**_old_words(whole), "definitions": {**_old_words(definitions), ART: {"enum": sorted(art)}}}
+
+
+def _definition(noun: str, type_: str, cls: type[BaseModel]) -> dict[str, Any]:
+    """The options of one class and the ``type`` that picks it, its own definitions inside."""
+    template = f"{REF}{noun}-{type_}/definitions/{{model}}"
+    try:
+        schema = cls.model_json_schema(ref_template=template, schema_generator=Draft7)
+    except PydanticInvalidForJsonSchema:  # a plugin's, with options that JSON has no words for
+        schema = {"type": "object"}
+    return {
+        **schema,
+        "properties": {"type": {"const": type_}, **schema.get("properties", {})},
+        "required": [*([] if noun in SINGLE else ["type"]), *schema.get("required", [])],
+        "definitions": schema.get("$defs", {}),
+    }
+
+
+def _machine(process: str, model: type[BaseModel]) -> dict[str, Any]:
+    """The options of the machines of one process, and their names."""
+    schema = model.model_json_schema(schema_generator=Draft7)
+    names = [name for name, profile in machines().items() if profile.process == process]
+    return {**schema, "properties": {"machine": {"enum": names}, **schema["properties"]}, "required": ["machine"]}
+
+
+def _one_of(noun: str, classes: Classes) -> dict[str, Any]:
+    choices = [{"$ref": f"{REF}{noun}-{type_}"} for type_ in sorted(classes)]
+    return {"oneOf": choices} if choices else {"type": "object"}
+
+
+def _any_of(kind: str, classes: Classes) -> dict[str, Any]:
+    return {"anyOf" if key == "oneOf" else key: value for key, value in _one_of(kind, classes).items()}
+
+
+def _set(schema: dict[str, Any], choice: dict[str, Any]) -> None:
+    """Replace what a value may be, keep what is said about it."""
+    kept = {key: schema[key] for key in ("title", "description") if key in schema}
+    schema.clear()
+    schema.update(kept | choice)
+
+
+def _old_words(node: Any) -> Any:
+    """Draft 2020-12 as draft 7 says it; keywords of OpenAPI go."""
+    if isinstance(node, list):
+        return [_old_words(item) for item in node]
+    if not isinstance(node, dict):
+        return node
+    if node.get("format") == ART_FORMAT:
+        return {"$ref": f"{REF}{ART}"}
+    gone = {"$defs"} | ({"discriminator"} if "oneOf" in node else set())
+    renamed = {"prefixItems": "items"} if node.get("type") == "array" else {}
+    return {renamed.get(key, key): _old_words(value) for key, value in node.items() if key not in gone}

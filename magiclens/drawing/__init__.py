@@ -1,0 +1,1 @@
+"""Figures drawn pixel by pixel, so that equal figures are equal files."""

@@ -1,0 +1,72 @@
+"""Binary glTF 2.0: for web pages and viewers, which show the lens as clear plastic."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from magiclens.contract.artifacts import FloatArray, IntArray, Lens, Scene, Solid
+from magiclens.contract.stages import Exporter
+
+FLOAT, UNSIGNED, VERTICES, INDICES = 5126, 5125, 34962, 34963
+"""glTF's numbers for float32, uint32 and the two kinds of buffers."""
+
+
+class Glb(Exporter):
+    """Binary glTF in metres with +y up, as the standard demands: the viewer of the lens looks down from above.
+
+    It has no normals, so facets are shaded flat, as they are.
+    """
+
+    type: ClassVar[str] = "glb"
+    suffix: ClassVar[str] = ".glb"
+
+    def export(self, scene: Scene, solid: Solid, path: Path) -> None:
+        """Write a JSON head, 12 V + 12 F bytes."""
+        points = _upright(solid.vertices)
+        faces = np.ascontiguousarray(solid.faces, "<u4")
+        head = json.dumps(_asset(scene.lens, points, faces), separators=(",", ":")).encode()
+        head += b" " * (-len(head) % 4)
+        body = points.tobytes() + faces.tobytes()
+        with path.open("wb") as file:
+            file.write(struct.pack("<4sII", b"glTF", 2, 28 + len(head) + len(body)))
+            file.write(struct.pack("<I4s", len(head), b"JSON") + head)
+            file.write(struct.pack("<I4s", len(body), b"BIN\0") + body)
+
+
+def _upright(vertices: FloatArray) -> FloatArray:
+    """(V, 3) float32, metres: x stays right, z becomes glTF's up, y points away."""
+    x, y, z = vertices.T / 1000
+    return np.stack([x, z, -y], axis=-1).astype("<f4")
+
+
+def _asset(lens: Lens, points: FloatArray, faces: IntArray) -> dict[str, Any]:
+    """The description of one mesh of clear plastic."""
+    extent = {"min": points.min(axis=0).tolist(), "max": points.max(axis=0).tolist()}
+    glass = {
+        "KHR_materials_transmission": {"transmissionFactor": 1.0},
+        "KHR_materials_ior": {"ior": lens.ior},
+        "KHR_materials_volume": {"thicknessFactor": lens.thickness_mm / 1000},
+    }
+    return {
+        "asset": {"version": "2.0", "generator": "magiclens"},
+        "extensionsUsed": list(glass),
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"name": "lens", "mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1, "material": 0}]}],
+        "materials": [{"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 0.0}, "extensions": glass}],
+        "accessors": [
+            {"bufferView": 0, "componentType": FLOAT, "count": len(points), "type": "VEC3", **extent},
+            {"bufferView": 1, "componentType": UNSIGNED, "count": faces.size, "type": "SCALAR"},
+        ],
+        "bufferViews": [
+            {"buffer": 0, "byteLength": points.nbytes, "target": VERTICES},
+            {"buffer": 0, "byteOffset": points.nbytes, "byteLength": faces.nbytes, "target": INDICES},
+        ],
+        "buffers": [{"byteLength": points.nbytes + faces.nbytes}],
+    }

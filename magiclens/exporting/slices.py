@@ -1,0 +1,96 @@
+"""A stack of pictures, one per layer, as printers that jet droplets take it."""
+
+from __future__ import annotations
+
+import json
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+from zipfile import ZipFile
+
+import numpy as np
+from pydantic import Field
+
+from magiclens.contract.artifacts import Scene, Solid
+from magiclens.contract.errors import InputError
+from magiclens.contract.stages import Exporter
+from magiclens.contract.units import LENGTH, Length
+from magiclens.exporting.archive import entry
+
+if TYPE_CHECKING:
+    from magiclens.exporting.voxels import Bitmap, Lattice
+
+MOST_PIXELS = 10**8
+"""Pixels of a layer; more need more memory than a desktop has."""
+MOST_LAYERS = 10**5
+
+
+class Slices(Exporter):
+    """Voxel layers for jetting printers: a zip with one black-and-white PNG per layer and a manifest.
+
+    White is material. ``layer-00000.png`` lies on the build plate; row 0 is at +y, as the viewer sees the lens.
+    """
+
+    type: ClassVar[str] = "slices"
+    suffix: ClassVar[str] = ".slices.zip"
+
+    dpi_x: float = Field(600.0, ge=10, le=10000, description="pixels per inch along x")
+    dpi_y: float = Field(300.0, ge=10, le=10000, description="pixels per inch along y")
+    layer: Length = Field("27um", validate_default=True, gt=0, description="height of a layer")
+
+    def export(self, scene: Scene, solid: Solid, path: Path) -> None:
+        """Write the archive layer by layer. Raises InputError if the stack would be too large."""
+        from magiclens.exporting.voxels import Lattice, layers
+
+        lattice = Lattice.around(solid, (25.4 / self.dpi_x, 25.4 / self.dpi_y), self.layer)
+        self._check(lattice)
+        filled = 0
+        with ZipFile(path, "w") as archive:
+            for k, (bitmap, changed) in enumerate(layers(solid, lattice)):
+                if changed or k == 0:
+                    png = self._png(bitmap, lattice)
+                    inside = int(np.bitwise_count(bitmap).sum(dtype=np.int64))
+                filled += inside
+                archive.writestr(entry(_name(k), packed=False), png)
+            text = json.dumps(_manifest(lattice, filled * lattice.voxel_mm3), indent=2) + "\n"
+            archive.writestr(entry("manifest.json"), text)
+
+    def _check(self, lattice: Lattice) -> None:
+        layers, rows, columns = lattice.shape
+        if rows * columns > MOST_PIXELS:
+            wish = f"a layer would have {columns} x {rows} pixels, more than {MOST_PIXELS:,}"
+            raise InputError(f"{wish}; lower dpi_x and dpi_y, now {self.dpi_x:g} and {self.dpi_y:g}", "exporter slices")
+        if layers > MOST_LAYERS:
+            wish = f"there would be {layers} layers, more than {MOST_LAYERS:,}"
+            raise InputError(f"{wish}; raise layer, now {LENGTH.text(self.layer)}", "exporter slices")
+
+    def _png(self, bitmap: Bitmap, lattice: Lattice) -> bytes:
+        """A layer as a file that knows its physical size."""
+        from PIL import Image
+
+        file = BytesIO()
+        image = Image.frombytes("1", (lattice.shape[2], lattice.shape[1]), bitmap.tobytes())
+        image.save(file, format="PNG", compress_level=1, dpi=(self.dpi_x, self.dpi_y))
+        return file.getvalue()
+
+
+def _name(layer: int) -> str:
+    return f"layer-{layer:05d}.png"
+
+
+def _manifest(lattice: Lattice, filled_mm3: float) -> dict[str, Any]:
+    layers, rows, columns = lattice.shape
+    return {
+        "format": "magiclens slices",
+        "unit": "mm",
+        "layers": layers,
+        "layer_mm": lattice.layer_mm,
+        "pixels": [columns, rows],
+        "pixel_mm": list(lattice.pixel_mm),
+        "first_voxel_mm": list(lattice.first_mm),
+        "first_layer": _name(0),
+        "last_layer": _name(layers - 1),
+        "material": "white",
+        "order": "layers from the build plate up, rows from +y down, columns from -x on",
+        "filled_mm3": filled_mm3,
+    }

@@ -1,0 +1,1 @@
+"""Facets, the slab under them, and the closed mesh."""

@@ -1,0 +1,1 @@
+"""From a spec and the installed plugins to a frozen plan."""

@@ -1,0 +1,77 @@
+"""The plugin that contributes everything built in, through the door that every plugin uses.
+
+The modules named here import numba, scipy, pymeshlab and mitsuba only when they work, so listing them is quick.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+from magiclens.contract.hookspecs import hookimpl
+
+if TYPE_CHECKING:
+    from magiclens.contract.artifacts import FloatArray
+    from magiclens.contract.executors import Executor
+    from magiclens.contract.stages import Stage
+    from magiclens.scenarios.base import Scenario
+
+
+@hookimpl
+def mlens_stages() -> Sequence[type[Stage]]:
+    """Every built-in stage, in pipeline order."""
+    from magiclens.annealing.heat_bath import HeatBath
+    from magiclens.annealing.metropolis import Metropolis
+    from magiclens.encoding import least_squares as encoding
+    from magiclens.exporting.gltf import Glb
+    from magiclens.exporting.height_map import HeightMap
+    from magiclens.exporting.mesh_files import Obj, Ply, Stl
+    from magiclens.exporting.monitor import Monitor
+    from magiclens.exporting.sheet import Sheet
+    from magiclens.exporting.slices import Slices
+    from magiclens.exporting.three_mf import ThreeMf
+    from magiclens.integration.least_squares import LeastSquares
+    from magiclens.integration.poisson import Poisson
+    from magiclens.matching.dart_throwing import DartThrowing
+    from magiclens.matching.exhaustive import Exhaustive
+    from magiclens.matching.multi_view import MultiView
+    from magiclens.meshing.finish import Pymeshlab
+    from magiclens.milling.gcode import Gcode
+    from magiclens.milling.rml import Rml
+    from magiclens.rendering.mitsuba import Mitsuba
+    from magiclens.rendering.tracer import Tracer
+
+    matching: list[type[Stage]] = [Exhaustive, MultiView, DartThrowing]
+    design: list[type[Stage]] = [HeatBath, Metropolis, Poisson, LeastSquares, Pymeshlab, encoding.LeastSquares]
+    fabrication: list[type[Stage]] = [Stl, Ply, Obj, ThreeMf, Glb, HeightMap, Slices, Gcode, Rml, Sheet, Monitor]
+    return [*matching, *design, *fabrication, Tracer, Mitsuba]
+
+
+@hookimpl
+def mlens_scenarios() -> Sequence[type[Scenario]]:
+    """Every built-in scenario."""
+    from magiclens.scenarios.multi_pair import MultiPair
+    from magiclens.scenarios.multi_view import MultiView
+    from magiclens.scenarios.question_answer import QuestionAnswer
+    from magiclens.scenarios.rotating import Rotating
+    from magiclens.scenarios.single import Single
+    from magiclens.scenarios.stable_zone import StableZone
+    from magiclens.scenarios.universal_animation import UniversalAnimation
+
+    return [Single, Rotating, MultiPair, MultiView, StableZone, UniversalAnimation, QuestionAnswer]
+
+
+@hookimpl
+def mlens_executors() -> Sequence[type[Executor]]:
+    """Every built-in executor."""
+    from magiclens.contract.executors import Processes, Serial
+
+    return [Serial, Processes]
+
+
+@hookimpl
+def mlens_art() -> dict[str, Callable[[int], FloatArray]]:
+    """Every built-in picture."""
+    from magiclens.images.art import ART
+
+    return dict(ART)

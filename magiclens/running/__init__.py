@@ -1,0 +1,1 @@
+"""Executes plans: the pipeline, run folders, manifests, observers, jobs."""

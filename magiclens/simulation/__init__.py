@@ -1,0 +1,1 @@
+"""The lens as a machine makes it, and what it shows then."""

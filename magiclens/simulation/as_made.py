@@ -1,0 +1,70 @@
+"""The lens as a machine makes it, and what it shows then."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from magiclens.contract.artifacts import FloatArray, Scene, Solid, View
+from magiclens.images import score, write_png
+from magiclens.profiles.machines import Machine, Mill, Printer
+from magiclens.rendering.mitsuba import Mitsuba
+from magiclens.rendering.tracer import Tracer
+from magiclens.simulation.milled import milled, seen_as_milled
+from magiclens.simulation.printed import printed
+
+
+@dataclass(frozen=True)
+class AsMade:
+    """Per view (R, R, C), linear light, what the lens shows as made; its mean PSNR, and that as designed minus that."""
+
+    pictures: Sequence[FloatArray]
+    psnr_db: float
+    loss_db: float
+
+
+def as_made(machine: Machine, scene: Scene, solid: Solid) -> AsMade | None:
+    """Trace the lens as made, and compare it with the lens as designed; None if it is too large, or has no grid.
+
+    What the machine's limits cost the design is not in the loss: that lens was never designed. It is the loss of what
+    limits cannot prevent: stairs, spreading, corners that no cutter reaches, polishing.
+    """
+    if solid.grid is None:
+        return None
+    if isinstance(machine, Mill):
+        pictures = seen_as_milled(scene, solid, machine)
+    else:
+        assert isinstance(machine, Printer)
+        pictures = Tracer().render(scene, printed(solid, machine))
+    if pictures is None:
+        return None
+    shown_db = _psnr_db(pictures, scene)
+    return AsMade(pictures, shown_db, _psnr_db(Tracer().render(scene, solid), scene) - shown_db)
+
+
+def rough_pictures(machine: Machine, scene: Scene, solid: Solid) -> list[FloatArray]:
+    """The same path-traced by Mitsuba, with the roughness of the machine's surface; nothing if it is not simulated."""
+    if solid.grid is None:
+        return []
+    if isinstance(machine, Mill):
+        made = milled(solid, machine)
+    else:
+        assert isinstance(machine, Printer)
+        made = printed(solid, machine)
+    return [] if made is None else Mitsuba(roughness=machine.roughness).render(scene, made)
+
+
+def write_pictures(pictures: Sequence[FloatArray], views: Sequence[View], folder: Path, name: str) -> None:
+    """Write ``figures/<name>-<view>.png``, each at its best exposure."""
+    (folder / "figures").mkdir(exist_ok=True)
+    for picture, view in zip(pictures, views, strict=True):
+        lit = np.clip(picture * score(picture, view.target).gain, 0, 1)
+        write_png(folder / "figures" / f"{name}-{view.name}.png", lit)
+
+
+def _psnr_db(pictures: Sequence[FloatArray], scene: Scene) -> float:
+    pairs = zip(pictures, scene.views, strict=True)
+    return float(np.mean([score(picture, view.target).psnr_db for picture, view in pairs]))

@@ -1,0 +1,1 @@
+"""The gallery site and the interactive viewer."""

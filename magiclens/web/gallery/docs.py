@@ -1,0 +1,199 @@
+"""Documentation: Markdown files as pages of the site, with drawings, pictures of runs, and links that are checked."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING
+from urllib.parse import unquote
+
+from markupsafe import Markup, escape
+
+from magiclens.config.document import missing_file
+from magiclens.config.suggest import unknown
+from magiclens.contract.errors import InputError
+from magiclens.web.gallery.drawings import DRAWINGS
+from magiclens.web.gallery.highlight import highlighted
+from magiclens.web.gallery.pictures import Album
+
+if TYPE_CHECKING:
+    from markdown_it import MarkdownIt
+    from markdown_it.token import Token
+
+FOLDER = "docs"
+"""Where the site keeps its documentation."""
+PICTURE_PX = 1100
+
+
+@dataclass(frozen=True)
+class Heading:
+    """A part of a page, and what a link to it ends in."""
+
+    anchor: str
+    text: str
+
+
+@dataclass(frozen=True)
+class DocPage:
+    """A page of documentation. ``path`` is relative to the site's folder."""
+
+    path: str
+    title: str
+    body: Markup
+    headings: Sequence[Heading] = ()
+
+
+@dataclass
+class Library:
+    """Everything that pages can refer to. pages: site paths of Markdown files; runs: folders by name of their lens."""
+
+    site: Path
+    album: Album
+    pages: Mapping[Path, str]
+    runs: Mapping[str, Path]
+    files: set[str] = field(default_factory=set)
+
+
+def doc_paths(sources: Sequence[Path]) -> dict[Path, str]:
+    """Where Markdown files become pages: their folders stay as they are, from the one that all of them are in."""
+    if not sources:
+        return {}
+    paths = [normal(source) for source in sources]
+    above = Path(os.path.commonpath([path.parent for path in paths]))
+    return {p: f"{FOLDER}/{p.relative_to(above).with_suffix('.html').as_posix()}" for p in paths}
+
+
+def doc_page(source: Path, library: Library) -> DocPage:
+    """Render a Markdown file. Raises InputError for references to what is not there, with file and line."""
+    return _Renderer(normal(source), library).page()
+
+
+def slug(text: str) -> str:
+    """What a heading's anchor is called: as on most hosts of Markdown files."""
+    return re.sub(r"[^\w\- ]", "", text.lower()).strip().replace(" ", "-")
+
+
+def inline(text: str) -> Markup:
+    """A sentence of a docstring or a description: escaped, but for `code`, ``code`` and **strong** text."""
+    rich = re.sub(r"(`{1,2})(.+?)\1", r"<code>\2</code>", str(escape(text)))
+    return Markup(re.sub(r"\*\*(.+?)\*\*", r"<strong>\1</strong>", rich))
+
+
+def normal(path: Path) -> Path:
+    """Without ``..`` in it."""
+    return Path(os.path.normpath(path))
+
+
+class _Renderer:
+    """One Markdown file on its way to a page."""
+
+    def __init__(self, source: Path, library: Library):
+        self._source, self._library = source, library
+        self._path = library.pages[source]
+        self._headings: list[Heading] = []
+        self._title = source.stem
+
+    def page(self) -> DocPage:
+        """The page; its title is the first heading."""
+        markdown = _markdown()
+        tokens = markdown.parse(self._source.read_text(encoding="utf-8"))
+        self._walk(tokens)
+        body = markdown.renderer.render(tokens, markdown.options, {})
+        return DocPage(self._path, self._title, Markup(body), self._headings)
+
+    def _walk(self, tokens: Sequence[Token]) -> None:
+        for k, token in enumerate(tokens):
+            line = token.map[0] + 1 if token.map else 1
+            if token.type == "heading_open":
+                self._head(token, tokens[k + 1].content)
+            elif token.type == "fence":
+                token.type, token.content = "html_block", _block(token)
+            for child in token.children or ():
+                if child.type == "link_open":
+                    child.attrs["href"] = self._link(str(child.attrs["href"]), line)
+                elif child.type == "image":
+                    child.type, child.content = "html_inline", self._picture(child, line)
+
+    def _head(self, token: Token, text: str) -> None:
+        plain = text.replace("`", "")
+        token.attrs["id"] = slug(plain)
+        if token.tag == "h1":
+            self._title = plain
+        elif token.tag == "h2":
+            self._headings.append(Heading(slug(plain), plain))
+
+    def _link(self, target: str, line: int) -> str:
+        """Where a link leads in the site: to a page, or to a copy of the file."""
+        if re.match(r"[a-z]+:|#|//", target):
+            return target
+        name, hash_, anchor = target.partition("#")
+        found = normal(self._source.parent / unquote(name))
+        page = self._library.pages.get(found)
+        if page is None and name.endswith(".html"):
+            return target
+        if page is None:
+            page = self._copied(found, line)
+        return f"{self._away(page)}{hash_}{anchor}"
+
+    def _copied(self, found: Path, line: int) -> str:
+        if not found.is_file():
+            raise InputError(f"broken link: {missing_file(found)}", f"{self._source}:{line}")
+        path = f"{FOLDER}/files/{found.parent.name}-{found.name}"
+        (self._library.site / path).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(found, self._library.site / path)
+        self._library.files.add(path)
+        return path
+
+    def _picture(self, token: Token, line: int) -> str:
+        """A drawing (``drawing:name``), a picture of a run (``run:lens/path``) or a file; its title is the caption."""
+        target, caption = str(token.attrs["src"]), str(token.attrs.get("title", ""))
+        kind, _, name = target.rpartition(":")
+        if kind == "drawing":
+            if name not in DRAWINGS:
+                raise InputError(unknown("drawing", name, DRAWINGS), f"{self._source}:{line}")
+            return _figure(DRAWINGS[name](token.content), caption)
+        found = self._of_run(name, line) if kind == "run" else normal(self._source.parent / unquote(target))
+        if not found.is_file():
+            raise InputError(f"broken picture: {missing_file(found)}", f"{self._source}:{line}")
+        group = name.split("/")[0] if kind == "run" else FOLDER
+        picture = self._library.album.shrunk(found, group, PICTURE_PX, token.content)
+        size = f'width="{picture.width}" height="{picture.height}"'
+        image = f'<img src="{escape(self._away(picture.path))}" {size} alt="{escape(token.content)}" loading="lazy">'
+        return _figure(image, caption)
+
+    def _of_run(self, name: str, line: int) -> Path:
+        lens, _, path = name.partition("/")
+        if lens not in self._library.runs:
+            raise InputError(unknown("lens", lens, self._library.runs), f"{self._source}:{line}")
+        return self._library.runs[lens] / path
+
+    def _away(self, path: str) -> str:
+        """A path of the site, relative to this page."""
+        return os.path.relpath(path, PurePosixPath(self._path).parent)
+
+
+def _markdown() -> MarkdownIt:
+    """CommonMark and tables; raw HTML is escaped."""
+    from markdown_it import MarkdownIt
+
+    return MarkdownIt("commonmark", {"html": False}).enable("table")
+
+
+def _block(token: Token) -> str:
+    language = token.info.split()[0] if token.info.strip() else ""
+    return f'<pre tabindex="0"><code>{highlighted(token.content, language)}</code></pre>\n'
+
+
+def _figure(inner: str, caption: str) -> str:
+    """Captioned, in a paragraph of its own; a span, as a paragraph may hold no figure."""
+    under = f'<span class="caption">{inline(caption)}</span>' if caption else ""
+    return f'<span class="figure">{inner}{under}</span>'
+
+
+def first_line(text: str | None) -> str:
+    """The first sentence or line of a docstring."""
+    return (text or "").strip().split("\n\n")[0].replace("\n", " ")

@@ -1,0 +1,88 @@
+"""Pictures as a web page needs them: no larger than shown, and written once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from magiclens.contract.errors import InputError
+from magiclens.running.folder import appearing_file
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+QUALITY = 72
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture of the site. ``path`` is relative to the site's folder; width and height in pixels."""
+
+    path: str
+    width: int
+    height: int
+    alt: str
+    title: str = ""
+    caption: str = ""
+
+
+class Album:
+    """The site's pictures, all in ``pictures/``. Whatever has not been asked for by the end is removed."""
+
+    def __init__(self, site: Path):
+        self._site = site
+        self.paths: set[str] = set()
+
+    def shrunk(self, source: Path, group: str, width: int, alt: str) -> Picture:
+        """A picture file at most ``width`` pixels wide, as WebP; its own title and description become the caption's.
+
+        Nothing is written when it was made from the same file before. Raises InputError if it is no picture.
+        """
+        from PIL import Image
+
+        try:
+            with Image.open(source) as image:
+                title, caption = (str(image.info.get(key, "")) for key in ("Title", "Description"))
+                size = fitted(image.size, width)
+                path = self._path(source, group, size[0])
+                if not _is_newer(self._site / path, source):
+                    write_webp(self._site / path, _resized(image, size))
+        except OSError as error:
+            raise InputError(f"this is no picture that can be read: {error}", str(source)) from None
+        self.paths.add(path)
+        return Picture(path, *size, alt or title, title, caption)
+
+    def drawn(self, image: Image, group: str, name: str, alt: str) -> Picture:
+        """A picture that was drawn from nothing but code."""
+        path = f"pictures/{group}/{name}.webp"
+        write_webp(self._site / path, image)
+        self.paths.add(path)
+        return Picture(path, *image.size, alt)
+
+    def _path(self, source: Path, group: str, width: int) -> str:
+        """Different for files of equal names in different folders of a run."""
+        return f"pictures/{group}/{source.parent.name}-{source.stem}-{width}.webp"
+
+
+def fitted(size: tuple[int, int], width: int) -> tuple[int, int]:
+    """Width and height of a picture that is no wider than ``width``."""
+    if size[0] <= width:
+        return size
+    return width, max(1, round(size[1] * width / size[0]))
+
+
+def write_webp(path: Path, image: Image) -> None:
+    """Write a picture as WebP, whole or not at all; equal pictures give equal bytes."""
+    with appearing_file(path) as partial:
+        image.save(partial, "WEBP", quality=QUALITY, method=4)
+
+
+def _resized(image: Image, size: tuple[int, int]) -> Image:
+    from PIL import Image
+
+    return image.convert("RGB").resize(size, Image.Resampling.LANCZOS)
+
+
+def _is_newer(made: Path, source: Path) -> bool:
+    return made.is_file() and made.stat().st_mtime_ns >= source.stat().st_mtime_ns

@@ -1,0 +1,48 @@
+"""The interactive viewers of a gallery's lenses, kept between builds, since each takes a while to pack."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+
+from magiclens.contract.executors import Executor, raising
+from magiclens.running.folder import HEIGHTS, MANIFEST, appearing_file
+from magiclens.web.viewer import fragment
+
+CACHE = ".cache"
+"""The site's folder for what the next build need not make again; no page needs it."""
+
+
+def viewers(runs: Mapping[str, Path], site: Path, executor: Executor) -> dict[str, str]:
+    """The viewer of each run as an HTML section, by the lens's name; "" where the mesh cannot be traced again."""
+    kept = {name: site / CACHE / f"{name}-{_key(folder)}.html" for name, folder in runs.items()}
+    due = [(runs[name], path) for name, path in kept.items() if not path.is_file()]
+    for _ in raising(executor.map(_write, due)):
+        pass
+    for path in (site / CACHE).glob("*.html"):
+        if path not in kept.values():
+            path.unlink()
+    return {name: path.read_text(encoding="utf-8") for name, path in kept.items()}
+
+
+def _write(task: tuple[Path, Path]) -> None:
+    folder, path = task
+    text = fragment(folder) if (folder / HEIGHTS).is_file() else ""
+    with appearing_file(path) as partial:
+        partial.write_text(text, encoding="utf-8")
+
+
+def _key(folder: Path) -> str:
+    """Different for different runs, and for another viewer."""
+    return hashlib.sha256((folder / MANIFEST).read_bytes() + _code()).hexdigest()[:16]
+
+
+@cache
+def _code() -> bytes:
+    """The hash of the viewer's files."""
+    package = files("magiclens.web.viewer")
+    found = [item for place in (package, package / "templates") for item in place.iterdir() if item.is_file()]
+    return hashlib.sha256(b"".join(item.read_bytes() for item in sorted(found, key=lambda item: item.name))).digest()
