@@ -10,8 +10,7 @@ from types import SimpleNamespace
 import pytest
 from typer.testing import CliRunner
 
-from magiclens import doctor
-from magiclens.cli import app
+from magiclens.cli import app, doctor
 from magiclens.cli.doctor import Finding, as_text, examine, unfit
 from magiclens.plan.registry import Plugin, Registry
 

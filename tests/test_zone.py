@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from magiclens import zone
+from magiclens.analysis import zone
 from magiclens.analysis.zone_figures import zone_figures
 from magiclens.contract.artifacts import Lens, Scene, Solid, View
 from magiclens.contract.hookspecs import hookimpl
