@@ -16,8 +16,8 @@ from magiclens.contract.errors import InputError
 from magiclens.images import read_image, score
 from magiclens.plan.compile import Plan, describe, load_plan
 from magiclens.plan.registry import Registry
+from magiclens.running.open_run import open_run
 from magiclens.running.pipeline import Run, run_spec
-from magiclens.running.reopen import reopen
 from toys import SpecWriter
 
 SPEC = """\
@@ -111,7 +111,7 @@ def test_painted_sources_use_the_full_range_and_decoding_carries_the_black(tmp_p
     painted = read_image(done.folder / "sources" / "frame-00.png")
     assert (painted.min(), painted.max()) == (0, 1)
     assert done.data.scene.views[0].source.min() == pytest.approx(0.1875, abs=1e-3)
-    (through,) = reopen(done.folder).decode([np.zeros((64, 64, 1), np.float32)])
+    (through,) = open_run(done.folder).decode([np.zeros((64, 64, 1), np.float32)])
     assert np.median(through) == pytest.approx(0.1875 * 0.92, rel=0.05)
 
 

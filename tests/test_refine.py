@@ -268,7 +268,7 @@ class Refining(ToyIntegrator):
 class Universal(ToyMatcher):
     """Is shown no pictures."""
 
-    looks: ClassVar[bool] = False
+    uses_pictures: ClassVar[bool] = False
 
 
 @pytest.mark.usefixtures("toy_geometry", "without_report")

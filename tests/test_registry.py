@@ -154,11 +154,11 @@ def test_a_stage_whose_method_takes_other_arguments_is_refused() -> None:
 @pytest.mark.parametrize(
     ("written", "reason"),
     [
-        ("1.1", "it is written for contract 1.1, this magiclens has 1.0: upgrade magiclens"),
-        ("2.0", "upgrade magiclens"),
-        ("0.9", "it is written for contract 0.9, this magiclens has 1.0: upgrade the plugin"),
-        (1.0, "mlens_contract is 1.0; it is text such as '1.0'"),
-        ("new", "mlens_contract is 'new'; it is text such as '1.0'"),
+        ("2.1", "it is written for contract 2.1, this magiclens has 2.0: upgrade magiclens"),
+        ("3.0", "upgrade magiclens"),
+        ("0.9", "it is written for contract 0.9, this magiclens has 2.0: upgrade the plugin"),
+        (1.0, "mlens_contract is 1.0; it is text such as '2.0'"),
+        ("new", "mlens_contract is 'new'; it is text such as '2.0'"),
     ],
 )
 def test_a_plugin_written_for_another_contract_is_told_what_to_upgrade(written: Any, reason: str) -> None:

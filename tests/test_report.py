@@ -20,7 +20,7 @@ from magiclens.analysis.overlap import FAINT, coarse, facets_that_look, faded, o
 from magiclens.analysis.surface import wall_picture
 from magiclens.analysis.warp import INK, facet_colours, tinted
 from magiclens.contract.artifacts import Assignment, FloatArray, HeightField, IntArray, Lens, Scene, Solid, View
-from magiclens.contract.result import RunData
+from magiclens.contract.result import RunResult
 from magiclens.drawing.photographs import photograph
 from magiclens.drawing.scales import BLUE_TO_RED, DIVERGING, Scale
 from magiclens.drawing.shading import relief, sample_heights, shadow
@@ -63,7 +63,9 @@ def manifest(**changes: Any) -> dict[str, Any]:
     return facts | changes
 
 
-def run_data(lens: Lens, views: tuple[View, ...], renderers: tuple[str, ...] = ("tracer",), **changes: Any) -> RunData:
+def run_data(
+    lens: Lens, views: tuple[View, ...], renderers: tuple[str, ...] = ("tracer",), **changes: Any
+) -> RunResult:
     """A run whose facets see at random and whose renderers see half the target's light."""
     rng = np.random.default_rng(0)
     n = lens.facets
@@ -74,7 +76,7 @@ def run_data(lens: Lens, views: tuple[View, ...], renderers: tuple[str, ...] = (
     solid = Solid(np.zeros((3, 3)), np.array([[0, 1, 2]], np.int32))
     renders = {name: [0.5 * view.target for view in views] for name in renderers}
     scene = Scene(lens, views)
-    return RunData(scene, scene, candidates, first, chosen, field, solid, renders, manifest(**changes))
+    return RunResult(scene, scene, candidates, first, chosen, field, solid, renders, manifest(**changes))
 
 
 def two_turns(target: FloatArray | None = None) -> tuple[View, ...]:
@@ -85,12 +87,12 @@ def two_turns(target: FloatArray | None = None) -> tuple[View, ...]:
 
 
 @pytest.fixture(scope="module")
-def data() -> RunData:
+def data() -> RunResult:
     return run_data(small_lens(source=20.0), two_turns(), ("tracer", "other"))
 
 
 @pytest.fixture(scope="module")
-def report(data: RunData, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def report(data: RunResult, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("run")
     (folder / "lens.stl").write_bytes(b"x" * 1234)
     write_report(data, folder)
@@ -98,10 +100,10 @@ def report(data: RunData, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def written(tmp_path: Path) -> Callable[[RunData], str]:
+def written(tmp_path: Path) -> Callable[[RunResult], str]:
     """Writes the report of a run and returns its page."""
 
-    def write(data: RunData) -> str:
+    def write(data: RunResult) -> str:
         write_report(data, tmp_path)
         return (tmp_path / "report.html").read_text(encoding="utf-8")
 
@@ -130,7 +132,7 @@ def test_the_contact_sheet_has_a_row_per_view_and_a_column_per_renderer(report: 
         assert image.size == (4 * 400 + 5 * GAP, 2 * (400 + LINE + GAP) + LINE + GAP)
 
 
-def test_equal_runs_give_equal_reports(data: RunData, report: Path, tmp_path: Path) -> None:
+def test_equal_runs_give_equal_reports(data: RunResult, report: Path, tmp_path: Path) -> None:
     (tmp_path / "lens.stl").write_bytes(b"x" * 1234)
     write_report(data, tmp_path)
     for path in (p for p in report.rglob("*") if p.is_file()):
@@ -156,7 +158,7 @@ def test_the_page_needs_no_other_file(report: Path) -> None:
     assert all(source.startswith("data:image/webp;base64,") for source in sources)
 
 
-def test_what_users_write_is_escaped(written: Callable[[RunData], str]) -> None:
+def test_what_users_write_is_escaped(written: Callable[[RunResult], str]) -> None:
     stage = {"kind": "matcher", "type": HOSTILE, "version": HOSTILE, "plugin": HOSTILE, "options": {HOSTILE: HOSTILE}}
     facts = {"name": HOSTILE, "scenario": HOSTILE, "stages": [stage], "metrics": {HOSTILE: 1.0}}
     views = tuple(replace(view, name=HOSTILE, source_name=HOSTILE) for view in two_turns())
@@ -176,13 +178,13 @@ def test_the_page_tells_scores_metrics_stages_files_and_how_to_run_again(report:
         assert text in page, text
 
 
-def test_a_lens_of_one_facet_that_nobody_rendered_has_a_report(written: Callable[[RunData], str]) -> None:
+def test_a_lens_of_one_facet_that_nobody_rendered_has_a_report(written: Callable[[RunResult], str]) -> None:
     page = written(run_data(small_lens(1), two_turns()[:1], ()))
     assert "Steps between facets" in page
     assert "PSNR" not in page
 
 
-def test_colour_views_stay_coloured(written: Callable[[RunData], str], tmp_path: Path) -> None:
+def test_colour_views_stay_coloured(written: Callable[[RunResult], str], tmp_path: Path) -> None:
     green = np.zeros((32, 32, 3), np.float32)
     green[..., 1] = 1.0
     view = View("green", green, green, np.array([0.0, 0.0, 440.0]))
@@ -464,7 +466,7 @@ def test_metrics_have_plain_names_and_units() -> None:
     )
 
 
-def test_heights_in_the_figure_are_those_of_the_field(data: RunData) -> None:
+def test_heights_in_the_figure_are_those_of_the_field(data: RunResult) -> None:
     flat = HeightField(data.scene.lens, np.zeros_like(data.height_field.heights_mm), None)
     assert not sample_heights(flat, 64).any()
     assert np.ptp(sample_heights(data.height_field, 64)) > 1

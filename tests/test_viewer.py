@@ -28,8 +28,8 @@ from magiclens.images import read_image, to_display, to_linear
 from magiclens.images.files import write_png
 from magiclens.images.score import psnr_db
 from magiclens.rendering.trace import picture, trace
+from magiclens.running.open_run import OpenRun, open_run
 from magiclens.running.pipeline import run_spec
-from magiclens.running.reopen import Reopened, reopen
 from magiclens.web.viewer import MOST_BYTES, fragment, page
 from magiclens.web.viewer.facts import LANDING_MM, _finest_mm, _kept
 from magiclens.web.viewer.packing import pack, polynomials, unpack
@@ -128,7 +128,7 @@ def turned(points: FloatArray, degrees: float) -> FloatArray:
     return points @ np.array([[c, s], [-s, c]])
 
 
-def traced(lens: Reopened, view: View, pose: Pose, pixels: int = PIXELS) -> FloatArray:
+def traced(lens: OpenRun, view: View, pose: Pose, pixels: int = PIXELS) -> FloatArray:
     """What the built-in tracer sees of a moved lens; the lens stays where it is, eye and source move instead."""
     x, y, height = pose["eyeX"], pose["eyeY"], lens.plan.lens.thickness_mm + pose["eyeDistance"]
     at = np.array([pose["x"], pose["y"]])
@@ -210,7 +210,7 @@ def shown(uri: str) -> FloatArray:
 
 
 def test_of_many_frames_some_are_kept_evenly(folders: dict[str, Path]) -> None:
-    view = reopen(folders["rotating"]).scene.views[0]
+    view = open_run(folders["rotating"]).scene.views[0]
     film = tuple(replace(view, name=f"frame-{k}", source_name=f"frame-{k}") for k in range(40))
     assert [view.name for view in _kept(film, 4)] == ["frame-0", "frame-10", "frame-20", "frame-30"]
     assert len(_kept(film, 99)) == 40
@@ -256,7 +256,7 @@ def test_the_command_says_what_is_wrong(folders: dict[str, Path], tmp_path: Path
 @pytest.mark.parametrize("name", list(LENSES))
 def test_in_its_place_the_lens_shows_what_the_tracer_saw(visit: Any, folders: dict[str, Path], name: str) -> None:
     tab = visit(name)
-    for k, view in enumerate(reopen(folders[name]).scene.views):
+    for k, view in enumerate(open_run(folders[name]).scene.views):
         (seen,) = captured(tab, k, [{}])
         assert tab.evaluate("magiclens.atHome()")
         wanted = read_image(folders[name] / f"renders/tracer/{view.name}.png")
@@ -265,7 +265,7 @@ def test_in_its_place_the_lens_shows_what_the_tracer_saw(visit: Any, folders: di
 
 @pytest.mark.parametrize("name", list(LENSES))
 def test_out_of_its_place_the_lens_shows_what_the_tracer_sees(visit: Any, folders: dict[str, Path], name: str) -> None:
-    lens = reopen(folders[name])
+    lens = open_run(folders[name])
     views = lens.plan.on_medium(lens.printed_scene).views
     at_home = home(views[-1], lens.plan.lens.thickness_mm)
     poses = [{key: at_home[key] + change.get(key, 0.0) for key in at_home} for change in CHANGES.values()]
@@ -284,7 +284,7 @@ def shown_in_place(tab: Page) -> FloatArray:
 
 def looks_like(tab: Page, folder: Path) -> float:
     """Of what is seen where the lens belongs, but for the line around it, and what the tracer sees there, in dB."""
-    lens = reopen(folder)
+    lens = open_run(folder)
     view = lens.printed_scene.views[0]
     shot = shown_in_place(tab)
     wanted = traced(lens, view, home(view, lens.plan.lens.thickness_mm), len(shot))

@@ -9,7 +9,7 @@ import numpy as np
 
 from magiclens.analysis.ideal import predict_view
 from magiclens.contract.artifacts import Assignment, FloatArray, Scene
-from magiclens.contract.result import RunData
+from magiclens.contract.result import RunResult
 from magiclens.drawing.figure import Figure
 from magiclens.drawing.photographs import photograph
 from magiclens.drawing.scales import Pixels
@@ -20,7 +20,7 @@ from magiclens.geometry.facets import central_slopes
 SIDE = 480
 
 
-def before_after(data: RunData) -> Figure:
+def before_after(data: RunResult) -> Figure:
     """Surface and predicted picture of every facet's best candidate, and of the annealed choice."""
     energies = data.manifest["metrics"]
     surfaces, pictures = [], []

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from magiclens.contract.artifacts import Lens, View
-from magiclens.contract.result import RunData
+from magiclens.contract.result import RunResult
 from magiclens.drawing.figure import Figure
 from magiclens.drawing.photographs import Photograph
 from magiclens.drawing.scales import Pixels
@@ -17,7 +17,7 @@ MARK = (232, 89, 12)
 """Orange of the mark on the lens."""
 
 
-def contact_sheet(data: RunData, seen: Mapping[str, Sequence[Photograph]]) -> Figure:
+def contact_sheet(data: RunResult, seen: Mapping[str, Sequence[Photograph]]) -> Figure:
     """One row per view: source, target and every renderer's photograph with its scores."""
     views = data.scene.views
     side = 400 if len(views) <= 4 else 280

@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from magiclens.contract.artifacts import Assignment, FloatArray, IntArray, Lens, Scene, View
-from magiclens.contract.result import RunData
+from magiclens.contract.result import RunResult
 from magiclens.drawing.figure import Figure
 from magiclens.drawing.scales import BLUE_TO_RED, Pixels, Scale
 from magiclens.drawing.sheet import Tile, display, grid
@@ -22,7 +22,7 @@ FINER = 4
 """Patches are counted at this multiple of the figure's resolution: many are narrower than its pixels."""
 
 
-def overlap_map(data: RunData) -> Figure:
+def overlap_map(data: RunResult) -> Figure:
     """The heat map in the lens frame, and every source with what no facet sees faded."""
     views, levels = data.scene.views, data.height_field.levels_mm
     eyes = [tuple(view.eye_in_lens_frame_mm.round(6)) for view in views]

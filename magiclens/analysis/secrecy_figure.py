@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from magiclens.contract.result import RunData, Secrecy
+from magiclens.contract.result import RunResult, Secrecy
 from magiclens.drawing.figure import Figure
 from magiclens.drawing.scales import GLOW, Scale
 from magiclens.drawing.sheet import Tile, display
@@ -12,7 +12,7 @@ from magiclens.drawing.sheet import Tile, display
 SIDE = 400
 
 
-def secrecy_map(data: RunData, found: Secrecy) -> Figure:
+def secrecy_map(data: RunResult, found: Secrecy) -> Figure:
     """The first source, its target, and how much of each tile stands readable in its patch."""
     view = data.scene.views[0]
     scale = Scale(GLOW, 0.0, 1.0)

@@ -8,7 +8,7 @@ import numpy as np
 
 from magiclens.analysis.overlap import facets_that_look, faint
 from magiclens.contract.artifacts import FloatArray, HeightField, IntArray
-from magiclens.contract.result import RunData
+from magiclens.contract.result import RunResult
 from magiclens.drawing.figure import Figure
 from magiclens.drawing.scales import Pixels
 from magiclens.drawing.shading import relief, sample_heights
@@ -20,7 +20,7 @@ INK = 0.55
 """How much of a tinted picture is its tint."""
 
 
-def warp_map(data: RunData) -> Figure:
+def warp_map(data: RunResult) -> Figure:
     """The first source and its target, both tinted by facet, and the lens between them."""
     view, lens = data.scene.views[0], data.scene.lens
     local = view.in_lens_frame()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from magiclens.analysis.contact import MARK
-from magiclens.contract.result import RunData, Zone
+from magiclens.contract.result import RunResult, Zone
 from magiclens.drawing.chart import Axis, Chart, Curve
 from magiclens.drawing.figure import Figure
 from magiclens.drawing.photographs import photograph
@@ -16,12 +16,12 @@ SIDE = 320
 COLOURS = {"zone": f"#{bytes(MARK).hex()}", "plain": "#2b6cc4"}
 
 
-def zone_figures(data: RunData, zone: Zone) -> list[Figure]:
+def zone_figures(data: RunResult, zone: Zone) -> list[Figure]:
     """Photographs from displaced eyes, and how the worst picture gets worse with the displacement (figure 14)."""
     return [_pictures(data, zone), _curve(data, zone)]
 
 
-def _pictures(data: RunData, zone: Zone) -> Figure:
+def _pictures(data: RunResult, zone: Zone) -> Figure:
     view, names = data.scene.views[0], _names(data)
     places = [f"eye moved {move:.1f} mm, {zone.degrees(move):.2g}°" for move in zone.shown_mm]
     rows = []
@@ -38,11 +38,11 @@ def _pictures(data: RunData, zone: Zone) -> Figure:
     )
 
 
-def _names(data: RunData) -> dict[str, str]:
+def _names(data: RunResult) -> dict[str, str]:
     return {"zone": f"Lens for {len(data.scene.views)} eyes", "plain": "Lens for the middle eye"}
 
 
-def _curve(data: RunData, zone: Zone) -> Figure:
+def _curve(data: RunResult, zone: Zone) -> Figure:
     worst = {lens: psnr.min(axis=1) for lens, psnr in zone.psnr_db.items()}
     low, high = min(w.min() for w in worst.values()), max(w.max() for w in worst.values())
     reach, names = float(zone.moves_mm[-1]), _names(data)

@@ -290,9 +290,9 @@ def encode(
     """Paint the source that shows PICTURES through the universal lens of RUN_DIR."""
     with _reporting(traceback):
         from magiclens.images.convert import convert
-        from magiclens.running.reopen import reopen
+        from magiclens.running.open_run import open_run
 
-        lens = reopen(run_dir)
+        lens = open_run(run_dir)
         scale = len(lens.view(view).source) / lens.plan.lens.source_size_mm
         typer.echo(convert(lambda frames: lens.encode(frames, view), pictures, out, scale))
 
@@ -312,9 +312,9 @@ def decode(
     """Show what the eye sees through the lens of RUN_DIR when SOURCES lie below it."""
     with _reporting(traceback):
         from magiclens.images.convert import convert
-        from magiclens.running.reopen import reopen
+        from magiclens.running.open_run import open_run
 
-        lens = reopen(run_dir)
+        lens = open_run(run_dir)
         typer.echo(convert(lambda frames: lens.decode(frames, view), sources, out))
 
 
@@ -324,7 +324,7 @@ def preflight(
 ) -> None:
     """Check whether the lens of RUN_DIR is fit to be made, and write its preflight.html. Exit code 1: it is not."""
     with _reporting(traceback):
-        from magiclens.running.reopen import preflight as check_run
+        from magiclens.running.open_run import preflight as check_run
 
         found, text = check_run(run_dir)
         facts = run_dir / "preflight.json"

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from magiclens.contract.stages import Stage
 
 ENTRY_POINT_GROUP = "magiclens"
-CONTRACT = "1.0"
+CONTRACT = "2.0"
 """The version of everything that plugins rely on: hooks, stages, artifacts, the names of ``magiclens``.
 
 The second number grows with what is added, the first when something that plugins rely on changes or goes.

@@ -72,7 +72,7 @@ class Secrecy:
 
 
 @dataclass(frozen=True)
-class RunData:
+class RunResult:
     """Everything a run has made. Equal runs have equal data: the manifest has no timings and no file list yet.
 
     given: the scene before an encoder edited its sources; ``scene`` itself if there is none. first: each facet's best

@@ -39,11 +39,11 @@ class Stage(BaseModel, ABC):
 class Matcher(Stage):
     """Finds, for every facet, source patches that look like its tile of the target (4.2).
 
-    ``looks`` says whether at the pictures; if not, no stage that shapes the lens is shown any (5).
+    ``uses_pictures`` is False for universal lenses (5): then no stage that shapes the lens is given any picture.
     """
 
     kind: ClassVar[str] = "matcher"
-    looks: ClassVar[bool] = True
+    uses_pictures: ClassVar[bool] = True
 
     @abstractmethod
     def match(self, scene: Scene, rng: np.random.Generator, progress: Progress = silent) -> Candidates:

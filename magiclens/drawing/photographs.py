@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magiclens.contract.artifacts import FloatArray, View
-from magiclens.contract.result import RunData
+from magiclens.contract.result import RunResult
 from magiclens.images.resample import resize
 from magiclens.images.score import Score, score
 
@@ -33,7 +33,7 @@ def photograph(picture: FloatArray, view: View) -> Photograph:
     return Photograph(np.clip(picture * np.float32(found.gain), 0, 1), target, found)
 
 
-def photographs(data: RunData) -> dict[str, list[Photograph]]:
+def photographs(data: RunResult) -> dict[str, list[Photograph]]:
     """By renderer, one per view."""
     return {
         renderer: [photograph(picture, view) for picture, view in zip(pictures, data.scene.views, strict=True)]

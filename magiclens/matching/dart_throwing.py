@@ -16,7 +16,7 @@ class DartThrowing(Matcher):
     """One sub-region per facet, seen in the four ways it can be mirrored; no pictures are needed."""
 
     type: ClassVar[str] = "dart-throwing"
-    looks: ClassVar[bool] = False
+    uses_pictures: ClassVar[bool] = False
 
     subdivisions: int = Field(2, ge=1, le=8, description="sub-regions along one side of a facet's patch of the source")
     reach: LengthOrPercent = Field(

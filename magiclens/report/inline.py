@@ -7,7 +7,7 @@ import io
 from html import escape
 
 from magiclens.analysis.contact import contact_sheet
-from magiclens.contract.result import RunData
+from magiclens.contract.result import RunResult
 from magiclens.drawing.photographs import photographs
 from magiclens.drawing.sheet import sheet
 
@@ -15,7 +15,7 @@ WIDEST = 960
 """Pixels."""
 
 
-def contact_html(data: RunData) -> str:
+def contact_html(data: RunResult) -> str:
     """A figure whose picture is within it; names that users wrote are escaped."""
     figure = contact_sheet(data, photographs(data))
     picture = sheet(figure.rows)

@@ -6,14 +6,14 @@ from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 
-from magiclens.contract.result import RunData
+from magiclens.contract.result import RunResult
 from magiclens.drawing.figure import Figure
 from magiclens.drawing.photographs import Photograph
 from magiclens.pages.base import embedded, look
 from magiclens.report.tables import file_rows, headlines, lens_rows, metric_rows, option_rows, score_rows
 
 
-def page(data: RunData, folder: Path, figures: Sequence[Figure], seen: Mapping[str, Sequence[Photograph]]) -> str:
+def page(data: RunResult, folder: Path, figures: Sequence[Figure], seen: Mapping[str, Sequence[Photograph]]) -> str:
     """The HTML page of a run whose other files are in ``folder``. Everything that users wrote is escaped."""
     from jinja2 import Environment, StrictUndefined
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from magiclens.analysis.contact import place
 from magiclens.contract.artifacts import Scene
-from magiclens.contract.result import RunData
+from magiclens.contract.result import RunResult
 from magiclens.drawing.photographs import Photograph
 
 LABELS = {
@@ -104,7 +104,7 @@ class File(NamedTuple):
     size: str
 
 
-def headlines(data: RunData, seen: Mapping[str, Sequence[Photograph]]) -> list[Row]:
+def headlines(data: RunResult, seen: Mapping[str, Sequence[Photograph]]) -> list[Row]:
     """The few numbers that matter most."""
     rows = [
         Row(f"PSNR ({name})", f"{_mean([p.score.psnr_db for p in photos]):.1f} dB") for name, photos in seen.items()

@@ -13,7 +13,7 @@ from magiclens.analysis.secrecy_figure import secrecy_map
 from magiclens.analysis.surface import height_map, step_map
 from magiclens.analysis.warp import warp_map
 from magiclens.analysis.zone_figures import zone_figures
-from magiclens.contract.result import RunData
+from magiclens.contract.result import RunResult
 from magiclens.drawing.figure import Figure
 from magiclens.drawing.photographs import photographs
 from magiclens.drawing.sheet import sheet
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from PIL.PngImagePlugin import PngInfo
 
 
-def write_report(data: RunData, folder: Path) -> None:
+def write_report(data: RunResult, folder: Path) -> None:
     """Write ``figures/*.png`` and ``report.html`` into a run folder; equal runs give equal bytes."""
     scene, seen = data.scene, photographs(data)
     figures = [

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from magiclens.contract.errors import InputError
 from magiclens.images.score import score
-from magiclens.running.reopen import Reopened, reopen
+from magiclens.running.open_run import OpenRun, open_run
 from magiclens.simulation.machining import Machined, faults, find_programs, seen_as_machined, simulate
 
 FOLDER = "machined"
@@ -40,7 +40,7 @@ def machined(folder: str | Path) -> Outcome:
     Writes ``machined/<view>.png``, what each view's eye sees through the lens as cut, and ``<view>-polished.png``, the
     same after its ridges are polished away. Raises InputError if there is no program or it is not understood.
     """
-    lens = reopen(folder)
+    lens = open_run(folder)
     paths = find_programs(lens.folder)
     if not paths:
         wish = "there is no milling program; run its spec with --set 'pipeline.exporters=[{type: gcode}]'"
@@ -84,7 +84,7 @@ def as_text(found: Outcome) -> str:
     return "\n".join(lines)
 
 
-def _pictures(lens: Reopened, made: Machined) -> dict[str, dict[str, float]]:
+def _pictures(lens: OpenRun, made: Machined) -> dict[str, dict[str, float]]:
     """Trace the lens as designed, as cut and polished in every view, write what it shows, compare with the targets."""
     from magiclens.images.files import write_png
     from magiclens.rendering.tracer import Tracer

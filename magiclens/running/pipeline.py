@@ -28,7 +28,7 @@ from magiclens.contract.checks import (
     check_solid,
 )
 from magiclens.contract.errors import InputError
-from magiclens.contract.result import RunData, Zone
+from magiclens.contract.result import RunResult, Zone
 from magiclens.contract.stages import KINDS, Exporter, Progress, Renderer
 from magiclens.plan.compile import Plan, Step, compile_plan, load_plan
 from magiclens.plan.registry import Blamed, Registry, blaming
@@ -55,7 +55,7 @@ class Run:
 
     folder: Path
     manifest: dict[str, Any]
-    data: RunData
+    data: RunResult
 
     @property
     def sources(self) -> dict[str, FloatArray]:
@@ -192,7 +192,7 @@ class _Aside(_Worker):
         """Nothing."""
 
 
-def _make(plan: Plan, folder: Path, worker: _Worker) -> RunData:
+def _make(plan: Plan, folder: Path, worker: _Worker) -> RunResult:
     """Fill a run folder with everything but the manifest."""
     from magiclens.report.write import write_report
 
@@ -235,13 +235,13 @@ def _make(plan: Plan, folder: Path, worker: _Worker) -> RunData:
         metrics |= worker.part("leaks", partial(leaks, matrices, plan.lens.facets, given.reserved))
         metrics |= _changes(given, scene) | hidden.metrics
         _write_sources(given, folder, "given")
-    matched = None if plan.matcher.stage.looks else worker.part("matched lens", partial(_matched, scene))
+    matched = None if plan.matcher.stage.uses_pictures else worker.part("matched lens", partial(_matched, scene))
     if plan.fabrication:
         metrics |= worker.part("as made", partial(_as_made, plan.fabrication.machine, shown, solid, folder))
     facts = manifest(plan, inputs, scene, metrics, _scores(shown, renders))
     worker.part("preflight", partial(_preflight, plan, facts, solid, folder))
     asked = shown if given is scene else plan.on_medium(given)
-    data = RunData(
+    data = RunResult(
         asked, shown, candidates, first, assignment, height_field, solid, renders, facts, zone, hidden, matched
     )
     worker.part("report", partial(write_report, data, folder))
@@ -255,14 +255,14 @@ def _design(
     from magiclens.geometry.solid import solid_from_heights
 
     matcher = plan.matcher.stage
-    scene = scene if matcher.looks else _blank(scene)
+    scene = scene if matcher.uses_pictures else _blank(scene)
     check = partial(check_candidates, plan.lens)
     candidates = worker.stage(plan.matcher, lambda p: matcher.match(scene, rng["matcher"], p), check)
     best = (candidates, *_shape(plan, scene, candidates, rng["annealer"], worker))
     if plan.spec.pipeline.rematch:
         best = _rematched(plan, scene, best, rng, worker)
     candidates, assignment, built = best
-    if matcher.looks:
+    if matcher.uses_pictures:
         refined, integrator = partial(plan.integrator.stage.refine, scene, built), plan.integrator
         built = worker.stage(integrator, refined, partial(check_height_field, plan.lens))
     return candidates, assignment, built, worker.part("meshing", partial(solid_from_heights, built))

@@ -54,14 +54,14 @@ class MatcherContract(StageContract):
 
     def test_the_best_look_more_like_the_target_than_a_plain_slab(self, scene: Scene, made: Made) -> None:
         """Offsets, maps and errors mean what ``Candidates`` says; asked of matchers that look at the pictures."""
-        if not self.stage.looks:
+        if not self.stage.uses_pictures:
             return
         best, plain = _bound_db(scene, made.artifact), _bound_db(scene, _unmoved(scene))
         assert best > plain, f"the best candidates show the target at {best:.1f} dB, no lens at all at {plain:.1f} dB"
 
     def test_candidates_look_as_their_errors_say(self, scene: Scene, made: Made) -> None:
         """Errors are mean squared differences of display values; asked of matchers that look at the pictures."""
-        if not self.stage.looks:
+        if not self.stage.uses_pictures:
             return
         claimed = -10 * np.log10(max(float(made.artifact.errors.min(axis=-1).mean()), 1e-12))
         found = _bound_db(scene, made.artifact)

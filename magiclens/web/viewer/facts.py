@@ -13,7 +13,7 @@ import numpy as np
 from magiclens.contract.artifacts import FloatArray, HeightField, Lens, View
 from magiclens.running.folder import load_heights
 from magiclens.running.manifest import source_path, target_path
-from magiclens.running.reopen import Reopened
+from magiclens.running.open_run import OpenRun
 from magiclens.web.viewer.packing import pack
 from magiclens.web.viewer.pictures import fitting, small
 
@@ -33,7 +33,7 @@ MOST_CHOICES = 4
 """More sources than this are frames of a film."""
 
 
-def facts(lens: Reopened) -> dict[str, Any]:
+def facts(lens: OpenRun) -> dict[str, Any]:
     """Everything the script needs, ready for JSON. Raises InputError if the folder has no heights."""
     heights = load_heights(lens.folder)
     packed = pack(heights, _finest_mm(lens.plan.lens), LENS_BYTES)

@@ -11,7 +11,7 @@ from typing import Any
 from magiclens.contract.errors import InputError
 from magiclens.running.folder import MANIFEST, appearing_file
 from magiclens.running.manifest import REFERENCE_RENDERER, refresh_manifest, render_path, source_path
-from magiclens.running.reopen import Reopened, reopen
+from magiclens.running.open_run import OpenRun, open_run
 from magiclens.web.viewer.facts import facts
 from magiclens.web.viewer.pictures import small
 
@@ -60,7 +60,7 @@ def fragment(run_dir: Path) -> str:
 
     Raises InputError if it is no run folder, or if its finisher made a mesh that cannot be traced again.
     """
-    lens = reopen(run_dir)
+    lens = open_run(run_dir)
     told = facts(lens)
     return _section(lens, told)
 
@@ -91,7 +91,7 @@ def _name(folder: Path) -> str:
     return str(json.loads((folder / MANIFEST).read_text(encoding="utf-8"))["name"])
 
 
-def _section(lens: Reopened, told: dict[str, Any]) -> str:
+def _section(lens: OpenRun, told: dict[str, Any]) -> str:
     from jinja2 import Environment, StrictUndefined
     from markupsafe import Markup
 
@@ -110,7 +110,7 @@ def _section(lens: Reopened, told: dict[str, Any]) -> str:
     )
 
 
-def _plain_picture(lens: Reopened) -> Path:
+def _plain_picture(lens: OpenRun) -> Path:
     """What the first view shows; its source if the run was not rendered."""
     view = lens.scene.views[0]
     seen = lens.folder / render_path(REFERENCE_RENDERER, view)

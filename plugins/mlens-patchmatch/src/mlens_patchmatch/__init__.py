@@ -10,7 +10,7 @@ from magiclens import hookimpl
 if TYPE_CHECKING:
     from magiclens import Stage
 
-mlens_contract = "1.0"
+mlens_contract = "2.0"
 
 
 @hookimpl

@@ -28,7 +28,7 @@ BATCH = 4
 
 
 @dataclass(frozen=True)
-class Reopened:
+class OpenRun:
     """A run folder whose lens can be looked through again. ``scene`` has the sources that the spec gave."""
 
     folder: Path
@@ -109,10 +109,10 @@ class Reopened:
         return (transport.see(medium.shown(source) if medium else source) for source in fitting)
 
 
-def reopen(folder: str | Path, registry: Registry | None = None) -> Reopened:
+def open_run(folder: str | Path, registry: Registry | None = None) -> OpenRun:
     """Open a finished run folder. Raises InputError if it is none."""
     plan = _plan_of(Path(folder), registry)
-    return Reopened(Path(folder), plan, plan.scene())
+    return OpenRun(Path(folder), plan, plan.scene())
 
 
 def preflight(folder: str | Path, registry: Registry | None = None) -> tuple[Preflight, str]:
@@ -128,7 +128,7 @@ def preflight(folder: str | Path, registry: Registry | None = None) -> tuple[Pre
     path = Path(folder)
     plan = _plan_of(path, registry)
     if plan.fabrication and (path / HEIGHTS).is_file():
-        lens = Reopened(path, plan, plan.scene())
+        lens = OpenRun(path, plan, plan.scene())
         pictures = rough_pictures(plan.fabrication.machine, plan.on_medium(lens.printed_scene), lens.solid)
         write_pictures(pictures, lens.scene.views[: len(pictures)], path, "as-made-rough")
     found = inspect(path, json.loads((path / MANIFEST).read_text(encoding="utf-8")), plan)

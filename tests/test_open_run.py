@@ -15,8 +15,8 @@ from magiclens.images import score
 from magiclens.images.art import ART
 from magiclens.images.files import read_image, write_png
 from magiclens.images.movies import read_frames, write_gif
+from magiclens.running.open_run import open_run
 from magiclens.running.pipeline import Run, run_spec
-from magiclens.running.reopen import reopen
 
 SPEC = """\
 scenario:
@@ -45,18 +45,18 @@ def invoke(*arguments: str | Path) -> str:
 
 
 def test_a_run_keeps_what_the_reopened_lens_is_made_of(run: Run) -> None:
-    again = reopen(run.folder).solid
+    again = open_run(run.folder).solid
     np.testing.assert_allclose(again.vertices, run.data.solid.vertices, atol=1e-6)
     np.testing.assert_array_equal(again.faces, run.data.solid.faces)
 
 
 def test_frames_share_the_matrix_that_the_run_kept(run: Run, tmp_path: Path) -> None:
-    lens = reopen(run.folder)
+    lens = open_run(run.folder)
     assert [path.name for path in (run.folder / "transports").iterdir()] == ["frame-00.npz"]
     assert lens.transport("frame-01") is lens.transport()
     assert "solid" not in vars(lens)
     shutil.copytree(run.folder, tmp_path / "bare", ignore=shutil.ignore_patterns("transports"))
-    traced, source = reopen(tmp_path / "bare"), run.data.scene.views[0].source
+    traced, source = open_run(tmp_path / "bare"), run.data.scene.views[0].source
     assert traced.transport("frame-01") is traced.transport()
     np.testing.assert_allclose(traced.transport().see(source), lens.transport().see(source), atol=0.02)
 
@@ -93,13 +93,13 @@ def test_colour_and_equal_bytes(run: Run, tmp_path: Path) -> None:
     for name in ("one.png", "two.png"):
         invoke("encode", run.folder, tmp_path / "flag.png", "-o", tmp_path / name)
     assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
-    lens = reopen(run.folder)
+    lens = open_run(run.folder)
     (seen,) = lens.decode([read_image(tmp_path / "one.png")])
     assert score(seen, target).psnr_db > 22
 
 
 def test_what_cannot_be_reopened_says_so(run: Run, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="not a run folder"):
-        reopen(tmp_path)
+        open_run(tmp_path)
     with pytest.raises(InputError, match="unknown view 'frame-09'; did you mean 'frame-0"):
-        reopen(run.folder).view("frame-09")
+        open_run(run.folder).view("frame-09")
