@@ -20,7 +20,7 @@ from magiclens.contract.hookspecs import hookimpl
 from magiclens.contract.stages import Stage
 from magiclens.plan.compile import load_plan
 from magiclens.plan.registry import Plugin, Registry
-from magiclens.running.observers import Bars, Lines, Observer
+from magiclens.running.observers import BarObserver, LineObserver, Observer
 from magiclens.running.pipeline import Run, run_plan
 from toys import (
     TOYS,
@@ -121,7 +121,6 @@ def test_the_manifest_lists_stages_with_their_options(run: Runner) -> None:
         "plugin": "magiclens-toys",
         "options": {"sweeps": 5, "window": "10%", "step": "0.5mm"},
         "seconds": 0,
-        "cached": False,
     }
 
 
@@ -358,11 +357,11 @@ def divide_by(folder: Path) -> float:
     return 1 / 0
 
 
-@pytest.mark.parametrize("watching", [Lines, Bars])
-def test_progress_names_every_stage(watching: type[Any], run: Runner, tmp_path: Path) -> None:
+@pytest.mark.parametrize("observer_class", [LineObserver, BarObserver])
+def test_progress_names_every_stage(observer_class: type[Any], run: Runner, tmp_path: Path) -> None:
     log = tmp_path / "log"
     with log.open("w") as stream:
-        run("out", observer=watching(stream))
+        run("out", observer=observer_class(stream))
     text = log.read_text()
     for name in ("pictures", "matcher toy", "annealer toy", "meshing", "exporter toy", "renderer tracer"):
         assert name in text

@@ -93,11 +93,11 @@ def run(
 ) -> None:
     """Design the lens of SPEC and write a run folder: mesh, source, simulated photographs, manifest."""
     with _reporting(traceback):
-        from magiclens.running.observers import Observer, watching
+        from magiclens.running.observers import Observer, terminal_observer
         from magiclens.running.pipeline import run_spec
 
         signal.signal(signal.SIGTERM, _terminated)
-        done = run_spec(spec, out, overrides, Observer() if quiet or as_json else watching(sys.stderr))
+        done = run_spec(spec, out, overrides, Observer() if quiet or as_json else terminal_observer(sys.stderr))
         _say(lambda: _summary(done), lambda: {"folder": str(done.folder), **done.manifest}, quiet, as_json)
 
 
@@ -324,9 +324,9 @@ def preflight(
 ) -> None:
     """Check whether the lens of RUN_DIR is fit to be made, and write its preflight.html. Exit code 1: it is not."""
     with _reporting(traceback):
-        from magiclens.running.open_run import preflight as check_run
+        from magiclens.running.open_run import check_run_folder
 
-        found, text = check_run(run_dir)
+        found, text = check_run_folder(run_dir)
         facts = run_dir / "preflight.json"
         _say(lambda: f"{text}\n{run_dir / 'preflight.html'}", lambda: json.loads(facts.read_text()), quiet, as_json)
         if found.status == "red":

@@ -1,4 +1,4 @@
-"""Run folders appear whole or not at all."""
+"""Run folders and the files in them: written whole or not at all, and read back."""
 
 from __future__ import annotations
 
@@ -16,32 +16,37 @@ from magiclens.contract.artifacts import FloatArray, Lens, Solid, Transport, Vie
 from magiclens.contract.errors import InputError
 
 MANIFEST = "manifest.json"
+"""File that describes a run; a folder is a run folder if and only if this file is in it."""
 HEIGHTS = "heights.npz"
-"""The top of the finished lens, from which it is traced again without designing it anew."""
-TRANSPORTS = "transports"
-"""Of lenses with an encoder: the matrix of each eye, under the name of its first view; ``scipy.sparse.load_npz``."""
+"""File with the heights of the finished lens's top, from which the lens is traced again without a new design."""
+_TRANSPORTS = "transports"
+"""Folder of traced matrices, for lenses with an encoder: one ``scipy.sparse.load_npz`` file per eye, named after the
+eye's first view."""
 
 
 @contextmanager
-def appearing(out: Path) -> Iterator[Path]:
-    """An empty folder to fill; it is renamed to ``out`` when the block ends well, and gone when it does not.
+def atomic_folder(out: Path) -> Iterator[Path]:
+    """Yield an empty folder to fill, which becomes ``out`` if the block succeeds and is deleted if it fails.
 
-    A run folder that is at ``out`` already is replaced only then. Anything else there is an InputError.
+    An older run folder at ``out`` is replaced at the end of a block that succeeds, not before.
+
+    Raises:
+        InputError: ``out`` exists and is neither empty nor a run folder, or its parent cannot be written to.
     """
     out = out.absolute()
-    _refuse_strangers(out)
-    partial = _beside(out)
+    _check_replaceable(out)
+    partial = _new_hidden_folder(out)
     try:
         yield partial
         out.parent.mkdir(parents=True, exist_ok=True)
-        _swap(partial, out)
+        _move_into_place(partial, out)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
 
 
 @contextmanager
-def appearing_file(path: Path) -> Iterator[Path]:
-    """Where to write a file, which is put in the place of ``path`` when the block ends well, and gone otherwise."""
+def atomic_file(path: Path) -> Iterator[Path]:
+    """Yield a path to write a file to, which replaces ``path`` if the block succeeds and is deleted if it fails."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{path.name}-", dir=path.parent) as scratch:
         partial = Path(scratch, path.name)
@@ -50,7 +55,7 @@ def appearing_file(path: Path) -> Iterator[Path]:
 
 
 def save_heights(solid: Solid, lens: Lens, folder: Path) -> None:
-    """Keep the heights of a solid that still has its facets' grid."""
+    """Write the heights of a solid to the run folder, unless its finisher replaced the grid of its facets."""
     from magiclens.geometry.solid import heights_of
 
     heights = heights_of(solid, lens)
@@ -59,7 +64,14 @@ def save_heights(solid: Solid, lens: Lens, folder: Path) -> None:
 
 
 def load_heights(folder: Path) -> FloatArray:
-    """(N, N, m + 1, m + 1) float64, mm. Raises InputError if the folder has none."""
+    """Read the heights of the finished lens from a run folder.
+
+    Returns:
+        (N, N, m + 1, m + 1) float64, mm, see ``HeightField``.
+
+    Raises:
+        InputError: The folder has no heights, since the finisher's mesh has no grid.
+    """
     path = folder / HEIGHTS
     if not path.is_file():
         raise InputError(f"there is no {HEIGHTS}: its finisher made a mesh that cannot be traced again", str(folder))
@@ -69,53 +81,53 @@ def load_heights(folder: Path) -> FloatArray:
 
 
 def save_transport(transport: Transport, view: View, folder: Path) -> None:
-    """Keep what a view's eye sees of its source, so that other pictures are encoded without tracing."""
+    """Write the traced matrix of a view to the run folder, so that other pictures are encoded without tracing."""
     from scipy.sparse import save_npz
 
-    path = folder / TRANSPORTS / f"{view.name}.npz"
+    path = folder / _TRANSPORTS / f"{view.name}.npz"
     path.parent.mkdir(exist_ok=True)
     save_npz(path, transport.matrix)
 
 
 def load_transport(view: View, folder: Path) -> Transport | None:
-    """None if the folder has none of this view."""
-    path = folder / TRANSPORTS / f"{view.name}.npz"
+    """Read the traced matrix of a view from a run folder; None if the folder has no matrix of this view."""
+    path = folder / _TRANSPORTS / f"{view.name}.npz"
     if not path.is_file():
         return None
     from scipy.sparse import load_npz
 
     matrix = load_npz(path)
-    side = math.isqrt(matrix.shape[0])
+    side = math.isqrt(matrix.shape[0])  # pictures are square, so the number of rows gives their side
     return Transport(matrix, (side, side), (view.source.shape[0], view.source.shape[1]))
 
 
-def _refuse_strangers(out: Path) -> None:
-    """Only an empty folder or an older run may be replaced."""
+def _check_replaceable(out: Path) -> None:
+    """Raise InputError unless there is nothing at ``out``, or an empty folder, or an older run."""
     if out.is_dir() and ((out / MANIFEST).is_file() or not any(out.iterdir())):
         return
     if out.exists():
         raise InputError(f"'{out}' is there already and is not a run folder; choose another --out", "--out")
 
 
-def _beside(out: Path) -> Path:
-    """A new hidden folder on the same disk, in the nearest folder above that exists."""
+def _new_hidden_folder(out: Path) -> Path:
+    """Make a hidden folder in the nearest existing parent of ``out``: on the same disk, so that renaming is atomic."""
     above = next(p for p in out.parents if p.exists())
     try:
         partial = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=above))
     except OSError as error:
         raise InputError(f"cannot write in '{above}': {error.strerror}", "--out") from None
-    partial.chmod(0o777 & ~_umask())
+    partial.chmod(0o777 & ~_umask())  # mkdtemp makes folders that only their owner may read
     return partial
 
 
 def _umask() -> int:
-    mask = os.umask(0)
+    mask = os.umask(0)  # the mask can be read only by setting it
     os.umask(mask)
     return mask
 
 
-def _swap(partial: Path, out: Path) -> None:
-    """Put the finished folder in place of the old one, if there is one."""
+def _move_into_place(partial: Path, out: Path) -> None:
+    """Rename the finished folder to ``out``, and delete an older folder that was there."""
     old = partial.with_name(f"{partial.name}-old")
     if out.exists():
         out.rename(old)

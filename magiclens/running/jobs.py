@@ -1,4 +1,4 @@
-"""Runs as tasks: plain things that any executor can carry out, in this process or far away, again if need be."""
+"""Runs as jobs: small picklable values that an executor carries out in this process, in another, or elsewhere."""
 
 from __future__ import annotations
 
@@ -26,24 +26,27 @@ from magiclens.running.pipeline import run_plan
 
 
 @dataclass(frozen=True)
-class Task:
-    """One run: a spec file, what is laid over it, and the run folder to write. Both paths hold where it is done."""
+class Job:
+    """One run to do: the spec file, overrides of its keys (``key=value``), and the run folder to write.
+
+    Both paths are those of the machine that does the job.
+    """
 
     spec: str
     overrides: tuple[str, ...]
     out: str
 
 
-def make(task: Task, registry: Registry | None = None) -> dict[str, Any]:
-    """The manifest of the run folder, made unless it is there already. Raises like ``run_plan``."""
-    plan = load_plan(task.spec, task.overrides, registry)
-    return finished(plan, Path(task.out)) or run_plan(plan, task.out).manifest
+def run_job(job: Job, registry: Registry | None = None) -> dict[str, Any]:
+    """Do a run, unless its run folder is up to date, and return its manifest. Raises like ``run_plan``."""
+    plan = load_plan(job.spec, job.overrides, registry)
+    return finished_manifest(plan, Path(job.out)) or run_plan(plan, job.out).manifest
 
 
-def finished(plan: Plan, folder: Path) -> dict[str, Any] | None:
-    """The manifest of a run folder that running the plan would only write again; None if there is no such folder.
+def finished_manifest(plan: Plan, folder: Path) -> dict[str, Any] | None:
+    """The manifest of a run folder that is up to date; None if the plan has to be run (again).
 
-    It has the same spec, input files, stages and versions of everything, and still all of its files.
+    A run folder is up to date if it has the plan's spec, input files, stages and versions, and all of its files.
     """
     if not (folder / MANIFEST).is_file():
         return None
@@ -53,21 +56,30 @@ def finished(plan: Plan, folder: Path) -> dict[str, Any] | None:
     stages = [(step.stage.type, step.stage.version) for step in plan.steps]
     known = [(stage["type"], stage["version"]) for stage in found["stages"]]
     same = (spec, versions(plan), stages) == (found["spec_sha256"], found["versions"], known)
-    return found if same and _has_files(folder, found) and _used(inputs, found) else None
+    return found if same and _has_files(folder, found) and _same_inputs(inputs, found) else None
 
 
 def _has_files(folder: Path, manifest: dict[str, Any]) -> bool:
     return all((folder / artifact["path"]).is_file() for artifact in manifest["artifacts"])
 
 
-def _used(inputs: Inputs, manifest: dict[str, Any]) -> bool:
-    """Whether these files were the run's inputs, byte by byte."""
+def _same_inputs(inputs: Inputs, manifest: dict[str, Any]) -> bool:
+    """Whether the run used these very files, by their hashes."""
     hashes = {artifact["path"]: artifact["sha256"] for artifact in manifest["artifacts"]}
     return all(hashes.get(kept) == hashlib.sha256(path.read_bytes()).hexdigest() for path, kept in inputs.items())
 
 
 def choose_executor(name: str, settings: Iterable[str], registry: Registry) -> Executor:
-    """The executor of that name with ``key=value`` options. Raises InputError with the nearest choice."""
+    """The executor of that name with its options.
+
+    Args:
+        name: The executor's ``type``.
+        settings: Options as ``key=value``; values are YAML.
+        registry: Where executors are found.
+
+    Raises:
+        InputError: There is no such executor or option; the message names the nearest choice.
+    """
     found = registry.find(EXECUTOR, name)
     if found is None:
         raise InputError(unknown("executor", name, registry.types(EXECUTOR)), "--executor")

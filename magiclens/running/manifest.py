@@ -1,4 +1,4 @@
-"""The manifest: what a run made, from what, how well, and the proof of it."""
+"""The manifest of a run folder: its scene, stages, scores, versions, and a hash of every file."""
 
 from __future__ import annotations
 
@@ -15,39 +15,40 @@ from typing import TYPE_CHECKING, Any
 from magiclens.config.fields import Inputs
 from magiclens.contract.artifacts import Scene, View
 from magiclens.plan.compile import Plan, Step
-from magiclens.running.folder import MANIFEST
+from magiclens.running.folder import MANIFEST, atomic_file
 
 if TYPE_CHECKING:
     from magiclens.images.score import Score
 
-FORMAT = 1
+_FORMAT = 1
+"""Version of the manifest's format; it grows when a key changes its meaning or goes."""
 REFERENCE_RENDERER = "tracer"
-"""Its scores are ``psnr_db`` and ``ssim``; those of other renderers carry the renderer's name."""
+"""Renderer whose scores are called ``psnr_db`` and ``ssim``; scores of other renderers carry the renderer's name."""
 
-LIBRARIES = ("magiclens", "numpy", "scipy", "numba", "trimesh", "pymeshlab", "mitsuba")
-"""Whose versions can change a run's result."""
+_LIBRARIES = ("magiclens", "numpy", "scipy", "numba", "trimesh", "pymeshlab", "mitsuba")
+"""Packages whose versions can change a run's result."""
 
-Scores = Mapping[str, list["Score"]]
-"""By renderer type, one score per view."""
+ScoresByRenderer = Mapping[str, list["Score"]]
+"""Lists of one score per view, by renderer type."""
 
 
 def source_path(view: View) -> str:
-    """Where a run folder keeps the view's source."""
+    """Path of the view's source in a run folder."""
     return f"sources/{view.source_name}.png"
 
 
 def target_path(view: View) -> str:
-    """Where a run folder keeps the view's target."""
+    """Path of the view's target in a run folder."""
     return f"targets/{view.target_name}.png"
 
 
 def render_path(renderer: str, view: View) -> str:
-    """Where a run folder keeps what a renderer saw."""
+    """Path of a renderer's picture of the view in a run folder."""
     return f"renders/{renderer}/{view.name}.png"
 
 
 def spec_text(plan: Plan, inputs: Inputs) -> str:
-    """The resolved spec as YAML; its files are where ``inputs`` puts them."""
+    """The resolved spec as YAML. Its files are named as copies in the run folder, and recorded in ``inputs``."""
     from ruamel.yaml import YAML
 
     yaml, text = YAML(), io.StringIO()
@@ -56,10 +57,20 @@ def spec_text(plan: Plan, inputs: Inputs) -> str:
     return text.getvalue()
 
 
-def manifest(plan: Plan, inputs: Inputs, scene: Scene, metrics: Mapping[str, float], scores: Scores) -> dict[str, Any]:
-    """Everything that is equal in equal runs, but for the list of files."""
+def build_manifest(
+    plan: Plan, inputs: Inputs, scene: Scene, metrics: Mapping[str, float], scores: ScoresByRenderer
+) -> dict[str, Any]:
+    """The manifest without timings and files: the part that is equal in equal runs.
+
+    Args:
+        plan: What was run.
+        inputs: Files that the spec names; files that are new to it are added.
+        scene: The scene as finished, with the sources of the encoder if there is one.
+        metrics: Numbers by name; those that are not finite become null.
+        scores: Of every renderer, one score per view.
+    """
     return {
-        "format": FORMAT,
+        "format": _FORMAT,
         "name": plan.spec.name,
         "scenario": plan.scenario.type,
         "scene": _scene(scene),
@@ -72,19 +83,33 @@ def manifest(plan: Plan, inputs: Inputs, scene: Scene, metrics: Mapping[str, flo
     }
 
 
-def write_manifest(folder: Path, facts: Mapping[str, Any], seconds: Mapping[str, float]) -> dict[str, Any]:
-    """Complete the manifest with timings (by step name, and ``total``) and files, and write it."""
-    stages = [{**stage, "seconds": round(seconds[_name(stage)], 3)} for stage in facts["stages"]]
-    whole = {**facts, "stages": stages, "artifacts": _files(folder), "seconds": round(seconds["total"], 3)}
-    (folder / MANIFEST).write_text(json.dumps(whole, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+def write_manifest(folder: Path, manifest: Mapping[str, Any], seconds: Mapping[str, float]) -> dict[str, Any]:
+    """Add timings and the list of files to a manifest, and write it.
+
+    Args:
+        folder: The run folder; all other files are in it already.
+        manifest: What ``build_manifest`` returned.
+        seconds: Durations by step name, and ``total``.
+
+    Returns:
+        The manifest as written.
+    """
+    stages = [{**stage, "seconds": round(seconds[_name(stage)], 3)} for stage in manifest["stages"]]
+    whole = {**manifest, "stages": stages, "artifacts": _files(folder), "seconds": round(seconds["total"], 3)}
+    _write(folder, whole)
     return whole
 
 
 def refresh_manifest(folder: Path) -> None:
-    """List the files of a finished run folder anew, after some have been written again."""
+    """Update the list of files in the manifest of a finished run folder, after some were added or changed."""
     whole = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
     whole["artifacts"] = _files(folder)
-    (folder / MANIFEST).write_text(json.dumps(whole, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    _write(folder, whole)
+
+
+def _write(folder: Path, manifest: Mapping[str, Any]) -> None:
+    with atomic_file(folder / MANIFEST) as path:
+        path.write_text(json.dumps(manifest, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def _name(stage: Mapping[str, Any]) -> str:
@@ -105,7 +130,7 @@ def _scene(scene: Scene) -> dict[str, Any]:
     }
 
 
-def _view(view: View, index: int, scores: Scores) -> dict[str, Any]:
+def _view(view: View, index: int, scores: ScoresByRenderer) -> dict[str, Any]:
     found: dict[str, float | None] = {"psnr_db": None, "ssim": None}
     for renderer, of_views in scores.items():
         found |= _score(renderer, of_views[index])
@@ -133,18 +158,17 @@ def _stage(step: Step[Any], inputs: Inputs) -> dict[str, Any]:
         "version": step.stage.version,
         "plugin": step.plugin.package,
         "options": options,
-        "cached": False,
     }
 
 
 def _number(value: float) -> float | None:
-    """JSON has no NaN."""
+    """The number, or None where JSON has no number: NaN and infinity."""
     return float(value) if math.isfinite(value) else None
 
 
 def versions(plan: Plan) -> dict[str, str]:
-    """Of Python, and of every package that can change the run's result."""
-    known = {name: _version(name) for name in LIBRARIES} | {s.plugin.package: s.plugin.version for s in plan.steps}
+    """Versions of Python and of every package that can change the run's result."""
+    known = {name: _version(name) for name in _LIBRARIES} | {s.plugin.package: s.plugin.version for s in plan.steps}
     return {"python": platform.python_version(), **{name: v for name, v in sorted(known.items()) if v}}
 
 
@@ -156,7 +180,7 @@ def _version(package: str) -> str | None:
 
 
 def _files(folder: Path) -> list[dict[str, Any]]:
-    """Every file of a run folder with its hash, in a fixed order."""
+    """Path, hash and size of every file of a run folder but the manifest, sorted by path."""
     paths: Iterable[Path] = sorted(p for p in folder.rglob("*") if p.is_file() and p.name != MANIFEST)
     return [_file(path, path.relative_to(folder).as_posix()) for path in paths]
 

@@ -1,4 +1,4 @@
-"""Who watches a run: nobody, a log, a terminal."""
+"""Observers show the progress of a run: not at all, as lines of a log, or as bars on a terminal."""
 
 from __future__ import annotations
 
@@ -10,30 +10,30 @@ if TYPE_CHECKING:
 
 
 class Observer:
-    """Base of all observers; this one only passes on what went wrong without stopping the run.
+    """Base of all observers. This one shows no progress; it only prints notices.
 
-    ``name`` is what is being worked on, such as ``matcher exhaustive``; ``facets`` is on how many facets, 0 if their
-    number does not matter.
+    ``name`` is the piece of work, such as ``matcher exhaustive``; ``facets`` is the number of facets that it works on,
+    0 if that number does not matter.
     """
 
     def started(self, name: str, facets: int) -> None:
-        """Work has begun."""
+        """A piece of work has begun."""
 
     def progressed(self, name: str, fraction: float) -> None:
-        """A fraction, 0 to 1, of the work is done."""
+        """A fraction, 0 to 1, of a piece of work is done."""
 
     def finished(self, name: str, seconds: float) -> None:
-        """Work has ended well."""
+        """A piece of work has succeeded."""
 
     def notice(self, text: str) -> None:
-        """Something that the user should know, though the run goes on."""
+        """The user should know this, although the run goes on."""
         print(f"note: {text}", file=sys.stderr)
 
     def stopped(self) -> None:
-        """The run has ended, well or not."""
+        """The run has succeeded or failed."""
 
 
-class Lines(Observer):
+class LineObserver(Observer):
     """One line of text per finished piece of work, for logs."""
 
     def __init__(self, stream: IO[str]):
@@ -41,16 +41,16 @@ class Lines(Observer):
         self._facets = 0
 
     def started(self, name: str, facets: int) -> None:
-        """Remembers how much there is to do."""
+        """Remember the number of facets, for the rate."""
         self._facets = facets
 
     def finished(self, name: str, seconds: float) -> None:
-        """Prints name, seconds and rate."""
-        line = f"{name:28}{seconds:8.2f} s  {rate(self._facets, seconds)}"
+        """Print name, seconds and rate."""
+        line = f"{name:28}{seconds:8.2f} s  {_rate(self._facets, seconds)}"
         print(line.rstrip(), file=self._stream, flush=True)
 
 
-class Bars(Observer):
+class BarObserver(Observer):
     """A progress bar per piece of work, for terminals."""
 
     def __init__(self, stream: IO[str]):
@@ -70,36 +70,36 @@ class Bars(Observer):
         self._facets = 0
 
     def started(self, name: str, facets: int) -> None:
-        """A new bar; it pulses until progress is told."""
+        """Add a bar, which pulses until its fraction is known."""
         self._bars.start()
         self._task = self._bars.add_task(name, total=None, rate="")
         self._facets = facets
 
     def progressed(self, name: str, fraction: float) -> None:
-        """Moves the bar."""
+        """Move the bar."""
         if self._task is not None:
             elapsed = self._bars.tasks[-1].elapsed or 0.0
-            self._bars.update(self._task, total=1.0, completed=fraction, rate=rate(self._facets * fraction, elapsed))
+            self._bars.update(self._task, total=1.0, completed=fraction, rate=_rate(self._facets * fraction, elapsed))
 
     def finished(self, name: str, seconds: float) -> None:
-        """Fills the bar."""
+        """Fill the bar."""
         if self._task is not None:
-            self._bars.update(self._task, total=1.0, completed=1.0, rate=rate(self._facets, seconds))
+            self._bars.update(self._task, total=1.0, completed=1.0, rate=_rate(self._facets, seconds))
 
     def notice(self, text: str) -> None:
-        """Prints above the bars."""
+        """Print the text above the bars."""
         self._bars.console.print(f"note: {text}", markup=False, highlight=False)
 
     def stopped(self) -> None:
-        """Leaves the bars as they are."""
+        """Leave the bars on the terminal as they are."""
         self._bars.stop()
 
 
-def watching(stream: IO[str]) -> Observer:
-    """Bars on a terminal, lines elsewhere."""
-    return Bars(stream) if stream.isatty() else Lines(stream)
+def terminal_observer(stream: IO[str]) -> Observer:
+    """An observer that draws bars on a terminal, or prints lines into a file or a pipe."""
+    return BarObserver(stream) if stream.isatty() else LineObserver(stream)
 
 
-def rate(facets: float, seconds: float) -> str:
-    """Facets per second as text, nothing if it was too quick to tell."""
+def _rate(facets: float, seconds: float) -> str:
+    """Facets per second as text; empty below 0.01 s, where the rate would be noise."""
     return f"{facets / seconds:,.0f} facets/s" if facets and seconds > 0.01 else ""

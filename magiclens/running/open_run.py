@@ -1,4 +1,4 @@
-"""A finished lens put to use again: other pictures through the same glass (sections 5 and 6)."""
+"""Finished run folders opened again: other pictures are encoded for the lens or seen through it (sections 5 and 6)."""
 
 from __future__ import annotations
 
@@ -23,13 +23,16 @@ from magiclens.running.manifest import refresh_manifest, source_path
 if TYPE_CHECKING:
     from magiclens.preflight.inspect import Preflight
 
-BATCH = 4
-"""Frames that are encoded together."""
+_FRAMES_PER_BATCH = 4
+"""Frames that are encoded together; more would hold more pictures in memory at once."""
 
 
 @dataclass(frozen=True)
 class OpenRun:
-    """A run folder whose lens can be looked through again. ``scene`` has the sources that the spec gave."""
+    """A finished run folder, with the plan and the scene it was made from.
+
+    The scene has the sources that the spec gave, not those that an encoder made of them (see ``printed_scene``).
+    """
 
     folder: Path
     plan: Plan
@@ -37,7 +40,7 @@ class OpenRun:
 
     @property
     def printed_scene(self) -> Scene:
-        """The scene with the sources that the run folder holds: those of an encoder, if there is one."""
+        """The scene with the sources of the run folder, as they are printed: those of an encoder, if there is one."""
         from magiclens.images import resize
         from magiclens.images.files import read_image
 
@@ -57,16 +60,16 @@ class OpenRun:
         return solid_from_heights(HeightField(lens, load_heights(self.folder), eye))
 
     def view(self, name: str | None = None) -> View:
-        """A view by its name, the first by default. Raises InputError if there is no such view."""
+        """The view of that name, the first one by default. Raises InputError if there is no such view."""
         names = [view.name for view in self.scene.views]
         if name is not None and name not in names:
             raise InputError(unknown("view", name, names), "--view")
         return self.scene.views[names.index(name) if name else 0]
 
     def transport(self, name: str | None = None) -> Transport:
-        """The matrix from a source to what a view's eye sees: the one that the run kept, or traced once.
+        """The matrix from a source to the picture that a view's eye sees of it.
 
-        Raises InputError, see ``view``.
+        It is read from the run folder, or traced when it is first asked for. Raises InputError like ``view``.
         """
         from magiclens.rendering.traced import alike, transports
 
@@ -82,25 +85,44 @@ class OpenRun:
         return {}
 
     def encode(self, frames: Iterable[FloatArray], name: str | None = None) -> Iterator[FloatArray]:
-        """One source (H, W, C) per frame (h, w, C), linear light, that shows it to the view's eye.
+        """Sources that show these frames to a view's eye.
 
-        Raises InputError if the lens has no encoder: its sources are not to be edited.
+        Args:
+            frames: (h, w, C) linear light, C = 1 or 3; each is padded to a square with white paper.
+            name: The view, the first one by default.
+
+        Returns:
+            One source (H, W, C) float32 per frame, linear light.
+
+        Raises:
+            InputError: The lens has no encoder, since it was designed for the sources it has, or no such view.
         """
         step, view = self.plan.encoder, self.view(name)
         if step is None:
             raise InputError("this lens was designed for its source and has no encoder; use a universal lens")
         transport, rng = self.transport(name), np.random.default_rng(self.plan.spec.seed)
         waiting = iter(frames)
-        while batch := list(islice(waiting, BATCH)):
+        while batch := list(islice(waiting, _FRAMES_PER_BATCH)):
             channels = max(view.source.shape[-1], *(frame.shape[-1] for frame in batch), 1)
-            views = tuple(_showing(view, frame, channels, str(k)) for k, frame in enumerate(batch))
+            views = tuple(_with_target(view, frame, channels, str(k)) for k, frame in enumerate(batch))
             scene = replace(self.scene, views=views)
             with blaming(str(step)):
                 painted = step.stage.encode(scene, [transport] * len(views), rng)
             yield from (v.source for v in painted.views)
 
     def decode(self, sources: Iterable[FloatArray], name: str | None = None) -> Iterator[FloatArray]:
-        """What the view's eye sees, (R, R, C) linear light, of each source (h, w, C)."""
+        """Pictures that a view's eye sees of these sources.
+
+        Args:
+            sources: (h, w, C) linear light, C = 1 or 3; each is padded to a square with white paper.
+            name: The view, the first one by default.
+
+        Returns:
+            One picture (R, R, C) per source, linear light.
+
+        Raises:
+            InputError: There is no such view.
+        """
         from magiclens.images import resize, square
 
         transport = self.transport(name)
@@ -110,16 +132,22 @@ class OpenRun:
 
 
 def open_run(folder: str | Path, registry: Registry | None = None) -> OpenRun:
-    """Open a finished run folder. Raises InputError if it is none."""
+    """Open a finished run folder. Raises InputError if the folder is not one."""
     plan = _plan_of(Path(folder), registry)
     return OpenRun(Path(folder), plan, plan.scene())
 
 
-def preflight(folder: str | Path, registry: Registry | None = None) -> tuple[Preflight, str]:
-    """Check a finished run folder anew, by its files alone, and write its preflight page; a table too.
+def check_run_folder(folder: str | Path, registry: Registry | None = None) -> tuple[Preflight, str]:
+    """Check the files of a finished run folder again, and write its preflight page.
 
-    If its printer can be simulated, the lens is path-traced as it will come out, rough surface included:
-    ``figures/as-made-rough-<view>.png``. Raises InputError if it is no run folder, or has no mesh.
+    If its printer can be simulated, the lens is also path-traced as it will be printed, with its rough surface, into
+    ``figures/as-made-rough-<view>.png``.
+
+    Returns:
+        The findings, and the same as a table for a terminal.
+
+    Raises:
+        InputError: The folder is no run folder, or has no mesh.
     """
     from magiclens.preflight.inspect import inspect
     from magiclens.preflight.page import table, write_preflight
@@ -143,8 +171,8 @@ def _plan_of(path: Path, registry: Registry | None) -> Plan:
     return load_plan(path / "spec.yaml", (), registry)
 
 
-def _showing(view: View, frame: FloatArray, channels: int, name: str) -> View:
-    """The view with another target and a source of its own, both of so many channels."""
+def _with_target(view: View, frame: FloatArray, channels: int, name: str) -> View:
+    """The view with the frame as its target, and with a source that no other view shares; both get these channels."""
     from magiclens.images import square
 
     pictures = (

@@ -33,10 +33,10 @@ from magiclens.contract.stages import KINDS, Exporter, Progress, Renderer
 from magiclens.plan.compile import Plan, Step, compile_plan, load_plan
 from magiclens.plan.registry import Blamed, Registry, blaming
 from magiclens.profiles.machines import Machine
-from magiclens.running.folder import appearing, save_heights, save_transport
+from magiclens.running.folder import atomic_folder, save_heights, save_transport
 from magiclens.running.manifest import (
-    Scores,
-    manifest,
+    ScoresByRenderer,
+    build_manifest,
     render_path,
     spec_text,
     target_path,
@@ -130,7 +130,7 @@ def run_plan(plan: Plan, out_dir: str | Path, observer: Observer | None = None) 
     for failure in plan.registry.failures:
         observer.notice(f"{failure}; see 'mlens plugins'")
     try:
-        with appearing(out) as folder:
+        with atomic_folder(out) as folder:
             data = _make(plan, folder, worker)
             whole = write_manifest(folder, data.manifest, worker.timings())
         worker.tell("mlens_run_done", folder=out, manifest=whole)
@@ -238,7 +238,7 @@ def _make(plan: Plan, folder: Path, worker: _Worker) -> RunResult:
     matched = None if plan.matcher.stage.uses_pictures else worker.part("matched lens", partial(_matched, scene))
     if plan.fabrication:
         metrics |= worker.part("as made", partial(_as_made, plan.fabrication.machine, shown, solid, folder))
-    facts = manifest(plan, inputs, scene, metrics, _scores(shown, renders))
+    facts = build_manifest(plan, inputs, scene, metrics, _scores(shown, renders))
     worker.part("preflight", partial(_preflight, plan, facts, solid, folder))
     asked = shown if given is scene else plan.on_medium(given)
     data = RunResult(
@@ -471,7 +471,7 @@ def _preflight(plan: Plan, facts: dict[str, Any], solid: Solid, folder: Path) ->
         write_preflight(inspect(folder, facts, plan, solid), folder)
 
 
-def _scores(scene: Scene, renders: Renders) -> Scores:
+def _scores(scene: Scene, renders: Renders) -> ScoresByRenderer:
     from magiclens.images.score import score
 
     return {

@@ -18,7 +18,7 @@ from magiclens.contract.executors import Executor, Serial
 from magiclens.plan.compile import load_plan
 from magiclens.plan.registry import Registry, blaming
 from magiclens.running.folder import MANIFEST
-from magiclens.running.jobs import Task, finished, make
+from magiclens.running.jobs import Job, finished_manifest, run_job
 from magiclens.sweep.combine import Combination, combinations
 
 Say = Callable[[str], None]
@@ -74,7 +74,7 @@ def sweep_spec(
     plans = {one: load_plan(spec, one.overrides, registry) for one in found}
     folder = Path(out_dir or Path("out", f"{plans[found[0]].spec.name}-sweep"))
     _refuse_strangers(folder)
-    results = {one: finished(plan, folder / one.folder) for one, plan in plans.items()}
+    results = {one: finished_manifest(plan, folder / one.folder) for one, plan in plans.items()}
     due = [one for one, manifest in results.items() if manifest is None]
     say(f"{len(found)} combinations, {len(due)} to run")
     settled = [Result(one, manifest) for one, manifest in results.items() if manifest is not None]
@@ -91,12 +91,12 @@ def _run(
     if not due:
         return []
     folder.mkdir(parents=True, exist_ok=True)
-    work = partial(make, registry=registry) if isinstance(executor, Serial) else make
-    tasks = [Task(str(spec.absolute()), one.overrides, str((folder / one.folder).absolute())) for one in due]
+    work = partial(run_job, registry=registry) if isinstance(executor, Serial) else run_job
+    jobs = [Job(str(spec.absolute()), one.overrides, str((folder / one.folder).absolute())) for one in due]
     results = []
     try:
         with blaming(f"executor {executor.type}"):
-            for one, made in zip(due, executor.map(work, tasks), strict=True):
+            for one, made in zip(due, executor.map(work, jobs), strict=True):
                 results.append(_result(one, made))
                 say(f"{len(results)}/{len(due)}  {one.label}: {results[-1].outcome}")
     finally:

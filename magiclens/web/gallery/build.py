@@ -12,8 +12,8 @@ import magiclens
 from magiclens.contract.errors import InputError
 from magiclens.contract.executors import Executor
 from magiclens.plan.registry import Registry
-from magiclens.running.folder import appearing_file
-from magiclens.running.jobs import Task
+from magiclens.running.folder import atomic_file
+from magiclens.running.jobs import Job
 from magiclens.web.gallery.docs import FOLDER, DocPage, Library, doc_page, doc_paths, normal
 from magiclens.web.gallery.lens import LensPage, lens_page
 from magiclens.web.gallery.listed import Gallery, load_gallery
@@ -41,10 +41,10 @@ def build_gallery(
     gallery = load_gallery(path)
     _claim(out)
     runs = {entry.name: out / "runs" / entry.name for entry in gallery.entries}
-    tasks = [
-        Task(str(entry.spec), entry.overrides(quick), str(runs[entry.name].absolute())) for entry in gallery.entries
+    jobs = [
+        Job(str(entry.spec), entry.overrides(quick), str(runs[entry.name].absolute())) for entry in gallery.entries
     ]
-    refresh(tasks, executor, registry, say)
+    refresh(jobs, executor, registry, say)
     album, shown = Album(out), viewers(runs, out, executor)
     lenses = [lens_page(entry, runs[entry.name], shown[entry.name], album, quick) for entry in gallery.entries]
     library = Library(out, album, doc_paths([page for section in gallery.docs for page in section.pages]), runs)
@@ -103,7 +103,7 @@ def _facts(lenses: Iterable[LensPage], quick: bool) -> str:
 
 
 def _write(path: Path, text: str) -> None:
-    with appearing_file(path) as partial:
+    with atomic_file(path) as partial:
         partial.write_text(text, encoding="utf-8")
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from magiclens.contract.errors import InputError
-from magiclens.running.folder import appearing_file
+from magiclens.running.folder import atomic_file
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -74,7 +74,7 @@ def fitted(size: tuple[int, int], width: int) -> tuple[int, int]:
 
 def write_webp(path: Path, image: Image) -> None:
     """Write a picture as WebP, whole or not at all; equal pictures give equal bytes."""
-    with appearing_file(path) as partial:
+    with atomic_file(path) as partial:
         image.save(partial, "WEBP", quality=QUALITY, method=4)
 
 

@@ -11,25 +11,25 @@ from typing import Any
 from magiclens.contract.executors import Executor, Serial, raising
 from magiclens.plan.compile import load_plan
 from magiclens.plan.registry import Registry
-from magiclens.running.jobs import Task, finished, make
+from magiclens.running.jobs import Job, finished_manifest, run_job
 
 Say = Callable[[str], None]
 
 
-def refresh(tasks: Sequence[Task], executor: Executor, registry: Registry, say: Say) -> None:
+def refresh(jobs: Sequence[Job], executor: Executor, registry: Registry, say: Say) -> None:
     """Run what is missing or outdated. Raises what the first failing run raised, once all others are done.
 
     Run folders appear whole, so that an interrupted build goes on where it was. Raises InputError, before anything is
     run, if a spec is wrong.
     """
-    plans = [load_plan(task.spec, task.overrides, registry) for task in tasks]
-    due = [task for task, plan in zip(tasks, plans, strict=True) if finished(plan, Path(task.out)) is None]
-    say(f"{len(tasks)} lenses, {len(due)} to make")
-    work = partial(make, registry=registry) if isinstance(executor, Serial) else make
+    plans = [load_plan(job.spec, job.overrides, registry) for job in jobs]
+    due = [job for job, plan in zip(jobs, plans, strict=True) if finished_manifest(plan, Path(job.out)) is None]
+    say(f"{len(jobs)} lenses, {len(due)} to make")
+    work = partial(run_job, registry=registry) if isinstance(executor, Serial) else run_job
     failures = []
     try:
-        for task, made in zip(due, executor.map(work, due), strict=True):
-            say(f"  {Path(task.out).name}: {_told(made)}")
+        for job, made in zip(due, executor.map(work, due), strict=True):
+            say(f"  {Path(job.out).name}: {_told(made)}")
             failures += [made] if isinstance(made, Exception) else []
     finally:
         _clear(due)
@@ -41,8 +41,8 @@ def _told(made: dict[str, Any] | Exception) -> str:
     return "failed" if isinstance(made, Exception) else f"{made['seconds']:.0f} s"
 
 
-def _clear(due: Sequence[Task]) -> None:
+def _clear(due: Sequence[Job]) -> None:
     """Remove what processes that were killed have left unfinished."""
-    for out in (Path(task.out) for task in due):
+    for out in (Path(job.out) for job in due):
         for partly in out.parent.glob(f".{out.name}-*"):
             shutil.rmtree(partly, ignore_errors=True)

@@ -9,7 +9,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from magiclens.contract.executors import Executor, raising
-from magiclens.running.folder import HEIGHTS, MANIFEST, appearing_file
+from magiclens.running.folder import HEIGHTS, MANIFEST, atomic_file
 from magiclens.web.viewer import fragment
 
 CACHE = ".cache"
@@ -31,7 +31,7 @@ def viewers(runs: Mapping[str, Path], site: Path, executor: Executor) -> dict[st
 def _write(task: tuple[Path, Path]) -> None:
     folder, path = task
     text = fragment(folder) if (folder / HEIGHTS).is_file() else ""
-    with appearing_file(path) as partial:
+    with atomic_file(path) as partial:
         partial.write_text(text, encoding="utf-8")
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from magiclens.contract.errors import InputError
-from magiclens.running.folder import MANIFEST, appearing_file
+from magiclens.running.folder import MANIFEST, atomic_file
 from magiclens.running.manifest import REFERENCE_RENDERER, refresh_manifest, render_path, source_path
 from magiclens.running.open_run import OpenRun, open_run
 from magiclens.web.viewer.facts import facts
@@ -80,7 +80,7 @@ def write_view(run_dir: Path, out: Path | None = None) -> Path:
     if path.is_dir():
         raise InputError(f"'{path}' is a folder; name a file, such as {path / 'view.html'}", "--out")
     text = page(run_dir)
-    with appearing_file(path) as partial:
+    with atomic_file(path) as partial:
         partial.write_text(text, encoding="utf-8")
     if path.resolve().is_relative_to(run_dir.resolve()):
         refresh_manifest(run_dir)
