@@ -13,10 +13,10 @@ from magiclens.contract.artifacts import FloatArray, HeightField, Lens, Solid
 from magiclens.geometry.columns import top_relief
 from magiclens.geometry.solid import solid_from_heights
 from magiclens.meshing.validation import validate
-from magiclens.milling import strips
 from magiclens.milling.border import outer, top_of
 from magiclens.profiles.machines import Mill, machines
 from magiclens.rendering.tracer import Tracer
+from magiclens.simulation import strips
 from magiclens.simulation.as_made import as_made
 from magiclens.simulation.machining import reachable_surface
 from magiclens.simulation.milled import COARSE_MM, milled
