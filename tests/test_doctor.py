@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from typer.testing import CliRunner
 
 from magiclens.cli import app, doctor
-from magiclens.cli.doctor import Finding, as_text, examine, unfit
+from magiclens.cli.doctor import Diagnosis, diagnoses_text, examine, unfit
 from magiclens.plan.registry import Plugin, Registry
+from toys import plugin_of
 
 
 @pytest.fixture(autouse=True)
@@ -22,30 +22,31 @@ def no_llvm(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def found(registry: Registry) -> dict[str, Finding]:
-    return {finding.name: finding for finding in examine(registry)}
+def found(registry: Registry) -> dict[str, Diagnosis]:
+    return {diagnosis.name: diagnosis for diagnosis in examine(registry)}
 
 
-def test_everything_that_is_needed_is_here(found: dict[str, Finding]) -> None:
+def test_everything_that_is_needed_is_here(found: dict[str, Diagnosis]) -> None:
     assert not unfit(found.values())
-    assert found["numpy"] == Finding("numpy", "ok", version("numpy"), True)
+    assert found["numpy"] == Diagnosis("numpy", "ok", version("numpy"), True)
     assert found["font"].status == found["FFmpeg (av)"].status == "ok"
     assert {"python", "magiclens", "plugins", "numba cache", "PrusaSlicer", "Chromium"} <= set(found)
 
 
-def test_every_requirement_is_looked_for_and_no_extra(found: dict[str, Finding]) -> None:
+def test_every_requirement_is_looked_for_and_no_extra(found: dict[str, Diagnosis]) -> None:
     assert {"numba", "mitsuba", "pymeshlab", "ruamel.yaml", "scikit-image"} <= set(found)
     assert "pytest" not in found
 
 
-def test_what_is_missing_says_what_for_and_how_to_get_it(found: dict[str, Finding]) -> None:
+def test_what_is_missing_says_what_for_and_how_to_get_it(found: dict[str, Diagnosis]) -> None:
     llvm = found["LLVM for Mitsuba"]
     assert (llvm.status, llvm.needed) == ("missing", False)
-    assert "apt install libllvm19" in as_text([llvm]).splitlines()[1]
+    assert "apt install libllvm19" in diagnoses_text([llvm]).splitlines()[1]
 
 
 def test_what_is_well_takes_one_line() -> None:
-    assert as_text([Finding("numpy", "ok", "2.0", True, "unused")]).splitlines() == ["ok       numpy            2.0"]
+    well = Diagnosis("numpy", "ok", "2.0", True, "unused")
+    assert diagnoses_text([well]).splitlines() == ["ok       numpy            2.0"]
 
 
 def test_a_program_is_found_on_the_path(
@@ -55,7 +56,7 @@ def test_a_program_is_found_on_the_path(
     program.write_text("#!/bin/sh\n")
     program.chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path))
-    programs = {finding.name: finding for finding in examine(registry)}
+    programs = {diagnosis.name: diagnosis for diagnosis in examine(registry)}
     assert (programs["admesh"].status, programs["admesh"].found) == ("ok", str(program))
     assert programs["PrusaSlicer"].status == "missing"
     assert not unfit(programs.values())
@@ -67,10 +68,10 @@ def test_a_package_that_is_missing_makes_it_unfit(registry: Registry, monkeypatc
             raise PackageNotFoundError
         return version(name)
 
-    monkeypatch.setattr(doctor, "version", known)
-    findings = examine(registry)
-    assert unfit(findings)
-    assert "pip install trimesh" in as_text(findings)
+    monkeypatch.setattr("importlib.metadata.version", known)
+    diagnoses = examine(registry)
+    assert unfit(diagnoses)
+    assert "pip install trimesh" in diagnoses_text(diagnoses)
 
 
 def test_a_broken_library_makes_it_unfit(registry: Registry, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -78,18 +79,17 @@ def test_a_broken_library_makes_it_unfit(registry: Registry, monkeypatch: pytest
         raise OSError("libfreetype is gone")
 
     monkeypatch.setattr("magiclens.images.text.text", broken)
-    findings = examine(registry)
-    assert unfit(findings)
-    assert "OSError: libfreetype is gone" in as_text(findings)
+    diagnoses = examine(registry)
+    assert unfit(diagnoses)
+    assert "OSError: libfreetype is gone" in diagnoses_text(diagnoses)
 
 
 def test_a_broken_plugin_is_named_and_is_no_reason_to_give_up(registry: Registry) -> None:
-    registry.register(SimpleNamespace(mlens_stages=3), Plugin("odd", "odd-package", "0.3"))
-    registry._fail(Plugin("odd", "odd-package", "0.3"), "it is odd")
-    findings = {finding.name: finding for finding in examine(registry)}
-    assert findings["plugins"].status == "broken"
-    assert "odd-package 0.3" in findings["plugins"].found
-    assert not unfit(findings.values())
+    registry.register(plugin_of(3), Plugin("odd", "odd-package", "0.3"))
+    diagnoses = {diagnosis.name: diagnosis for diagnosis in examine(registry)}
+    assert diagnoses["plugins"].status == "broken"
+    assert "odd-package 0.3" in diagnoses["plugins"].found
+    assert not unfit(diagnoses.values())
 
 
 def test_a_cache_that_cannot_be_written_is_told(
@@ -97,7 +97,7 @@ def test_a_cache_that_cannot_be_written_is_told(
 ) -> None:
     (tmp_path / "file").touch()
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file" / "cache"))
-    cache = next(finding for finding in examine(registry) if finding.name == "numba cache")
+    cache = next(diagnosis for diagnosis in examine(registry) if diagnosis.name == "numba cache")
     assert cache.status == "broken"
     assert "NUMBA_CACHE_DIR" in cache.help
 
@@ -113,6 +113,6 @@ def test_the_command_prints_a_table_or_json(registry: Registry, monkeypatch: pyt
 
 
 def test_the_command_ends_with_1_when_something_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    missing = Finding("numpy", "missing", "", True, "pip install numpy")
-    monkeypatch.setattr(doctor, "examine", lambda: [missing])
+    missing = Diagnosis("numpy", "missing", "", True, "pip install numpy")
+    monkeypatch.setattr(doctor, "examine", lambda _: [missing])
     assert CliRunner().invoke(app, ["doctor"]).exit_code == 1

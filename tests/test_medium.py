@@ -14,7 +14,8 @@ from magiclens.config.model import Medium
 from magiclens.contract.artifacts import FloatArray
 from magiclens.contract.errors import InputError
 from magiclens.images import read_image, score
-from magiclens.plan.compile import Plan, describe, load_plan
+from magiclens.plan.compile import Plan, load_plan
+from magiclens.plan.describe import describe_plan
 from magiclens.plan.registry import Registry
 from magiclens.running.open_run import open_run
 from magiclens.running.pipeline import Run, run_spec
@@ -143,7 +144,7 @@ def test_without_a_medium_nothing_changes(load: Any) -> None:
 def test_a_medium_is_part_of_plan_and_resolved_spec(load: Any) -> None:
     plan = load("medium={black: 3%}")
     assert plan.resolved()["medium"] == {"black": "3%", "white": "100%"}
-    assert "medium   black reflects 3 % of the light, white 100 %" in describe(plan)
+    assert "medium   black reflects 3 % of the light, white 100 %" in describe_plan(plan)
 
 
 @pytest.mark.parametrize(

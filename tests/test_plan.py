@@ -9,7 +9,8 @@ import pytest
 from ruamel.yaml import YAML
 
 from magiclens.config.fields import Inputs
-from magiclens.plan.compile import Plan, describe, load_plan
+from magiclens.plan.compile import Plan, load_plan
+from magiclens.plan.describe import describe_plan
 from magiclens.plan.registry import Registry
 from toys import SpecWriter
 
@@ -47,7 +48,7 @@ def test_a_resolved_spec_gives_the_same_plan(plan: Plan, registry: Registry, tmp
 
 
 def test_a_description_has_every_view_stage_and_option(plan: Plan) -> None:
-    text = describe(plan)
+    text = describe_plan(plan)
     for line in (
         "lens     20 mm, 4 x 4 facets of 5 mm, 2 x 2 micro-facets each, cells eye",
         "scenario rotating",

@@ -14,7 +14,8 @@ from ruamel.yaml import YAML
 from magiclens.config.schema import json_schema
 from magiclens.contract.errors import InputError
 from magiclens.contract.stages import KINDS
-from magiclens.plan.compile import Plan, describe, load_plan
+from magiclens.plan.compile import Plan, load_plan
+from magiclens.plan.describe import describe_plan
 from magiclens.plan.registry import ART, SCENARIO, STAGE, Registry
 from magiclens.profiles.machines import Machine, Mill, Printer, machines
 from magiclens.profiles.materials import Material, materials
@@ -60,7 +61,7 @@ def test_every_machine_makes_a_lens_without_further_ado(name: str, load: Loader)
     assert plan.fabrication.machine == profile.machine()
     assert plan.lens.ior == materials()[profile.lens["material"]].ior
     assert plan.lens.max_slope_deg <= plan.fabrication.machine.max_slope
-    assert f"machine  {name}: {profile.title}" in describe(plan)
+    assert f"machine  {name}: {profile.title}" in describe_plan(plan)
 
 
 def test_the_polyjet_printer_is_the_one_of_the_paper() -> None:

@@ -1,37 +1,48 @@
-"""Is everything here that magiclens can use, and if not, how to get it."""
+"""The command that looks for everything that magiclens can use, and says how to get what is missing."""
 
 from __future__ import annotations
 
 import os
-import platform
 import shutil
 import sys
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
-from importlib.metadata import PackageNotFoundError, requires, version
-from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from magiclens.plan.registry import Registry
+import typer
 
-Status = Literal["ok", "missing", "broken"]
+from magiclens.cli.common import AsJson, print_result, reporting
+
+if TYPE_CHECKING:
+    from magiclens.plan.registry import Registry
+
+_LEAST_INK, _MOST_INK = 0.01, 0.9
+"""Share of dark pixels of a line of text; a font without letters draws nothing, or a box for each of them."""
 
 
 @dataclass(frozen=True)
-class Finding:
-    """One thing that was looked for. needed: magiclens cannot do without. help: what it is for, how to get it."""
+class Diagnosis:
+    """What was found of one thing that magiclens uses.
+
+    Attributes:
+        name: The thing, such as a package or a program.
+        status: ``ok``, ``missing``, or ``broken``: it is there and does not work.
+        found: Its version, its path, or what is wrong with it.
+        needed: Whether magiclens cannot work without it.
+        help: What it is for and how to get it; printed unless it is ok.
+    """
 
     name: str
-    status: Status
+    status: Literal["ok", "missing", "broken"]
     found: str
     needed: bool = False
     help: str = ""
 
 
 @dataclass(frozen=True)
-class Program:
-    """A program of somebody else's; ``names`` it may have, ``use`` it is of, ``get`` is how to install it."""
+class _Program:
+    """A program that magiclens or its tests run: the names it may have, what it is for, how to install it."""
 
     title: str
     names: tuple[str, ...]
@@ -39,11 +50,11 @@ class Program:
     get: str
 
 
-PROGRAMS = (
-    Program("PrusaSlicer", ("prusa-slicer",), "the tests judge meshes by it", "apt install prusa-slicer"),
-    Program("admesh", ("admesh",), "the tests judge STL files by it", "apt install admesh"),
-    Program("rs274", ("rs274",), "the tests run milling programs with it", "apt install linuxcnc-uspace"),
-    Program(
+_PROGRAMS = (
+    _Program("PrusaSlicer", ("prusa-slicer",), "the tests check meshes with it", "apt install prusa-slicer"),
+    _Program("admesh", ("admesh",), "the tests check STL files with it", "apt install admesh"),
+    _Program("rs274", ("rs274",), "the tests run milling programs with it", "apt install linuxcnc-uspace"),
+    _Program(
         "Chromium",
         ("chromium", "chromium-browser", "google-chrome", "chrome"),
         "shows `mlens view`; any browser with WebGL 2 does",
@@ -52,96 +63,115 @@ PROGRAMS = (
 )
 
 
-def examine(registry: Registry | None = None) -> list[Finding]:
-    """Everything that was looked for, most important first. Nothing is written but a trial file in numba's cache."""
+def doctor_command(as_json: AsJson = False) -> None:
+    """Look for all that magiclens can use, and say how to get what is missing. Exit code 1: it cannot work."""
+    with reporting(False):
+        from magiclens.plan.registry import Registry
+
+        found = examine(Registry.load())
+        print_result(lambda: diagnoses_text(found), lambda: diagnoses_data(found), as_json=as_json)
+        if unfit(found):
+            raise typer.Exit(1)
+
+
+def examine(registry: Registry) -> list[Diagnosis]:
+    """Look for everything that magiclens and its tests use, most important first; nothing is changed."""
     return [
         _python(),
         *_packages(),
-        _plugins(registry or Registry.load()),
+        _plugins(registry),
         _numba_cache(),
         _llvm(),
         _movies(),
         _font(),
-        *(_program(program) for program in PROGRAMS),
+        *(_program(program) for program in _PROGRAMS),
     ]
 
 
-def as_text(findings: Iterable[Finding]) -> str:
-    """A line for each, with advice below those that are not well."""
+def diagnoses_text(diagnoses: Iterable[Diagnosis]) -> str:
+    """Diagnoses as people read them: a line for each, with advice below those that are not ok."""
     lines = []
-    for finding in findings:
-        lines.append(f"{finding.status:8} {finding.name:16} {finding.found}".rstrip())
-        if finding.status != "ok" and finding.help:
-            lines.append(f"{'':25} {finding.help}")
+    for diagnosis in diagnoses:
+        lines.append(f"{diagnosis.status:8} {diagnosis.name:16} {diagnosis.found}".rstrip())
+        if diagnosis.status != "ok" and diagnosis.help:
+            lines.append(f"{'':25} {diagnosis.help}")
     return "\n".join(lines)
 
 
-def as_facts(findings: Iterable[Finding]) -> dict[str, Any]:
-    """For programs."""
-    found = list(findings)
-    return {"status": "broken" if unfit(found) else "ok", "findings": [asdict(finding) for finding in found]}
+def diagnoses_data(diagnoses: Iterable[Diagnosis]) -> dict[str, Any]:
+    """Diagnoses as ``mlens doctor --json`` prints them."""
+    found = list(diagnoses)
+    return {"status": "broken" if unfit(found) else "ok", "findings": [asdict(diagnosis) for diagnosis in found]}
 
 
-def unfit(findings: Iterable[Finding]) -> bool:
-    """Whether something is not well that magiclens cannot do without."""
-    return any(finding.needed and finding.status != "ok" for finding in findings)
+def unfit(diagnoses: Iterable[Diagnosis]) -> bool:
+    """Whether something that magiclens needs is missing or broken."""
+    return any(diagnosis.needed and diagnosis.status != "ok" for diagnosis in diagnoses)
 
 
-def _python() -> Finding:
+def _python() -> Diagnosis:
+    import platform
+
     known = sys.version_info >= (3, 11)
     what = f"{platform.python_version()}, {platform.system()} {platform.machine()}"
-    return Finding("python", "ok" if known else "broken", what, True, "magiclens needs Python 3.11 or newer")
+    return Diagnosis("python", "ok" if known else "broken", what, True, "magiclens needs Python 3.11 or newer")
 
 
-def _packages() -> list[Finding]:
-    """magiclens itself and what it requires."""
+def _packages() -> list[Diagnosis]:
+    """The package magiclens and those that it requires."""
+    from importlib.metadata import requires
+
     names = [requirement for requirement in requires("magiclens") or () if "extra ==" not in requirement]
     return [_package("magiclens"), *(_package(_bare(name)) for name in sorted(names, key=str.lower))]
 
 
 def _bare(requirement: str) -> str:
-    """A requirement's package: ``numpy`` of ``numpy>=1.26``."""
+    """The package's name in a requirement: ``numpy`` in ``numpy>=1.26``."""
     end = next((k for k, letter in enumerate(requirement) if not (letter.isalnum() or letter in "-_.")), None)
     return requirement[:end]
 
 
-def _package(name: str) -> Finding:
+def _package(name: str) -> Diagnosis:
+    from importlib.metadata import PackageNotFoundError, version
+
     try:
-        return Finding(name, "ok", version(name), True)
+        return Diagnosis(name, "ok", version(name), True)
     except PackageNotFoundError:
-        return Finding(name, "missing", "", True, f"pip install {name}")
+        return Diagnosis(name, "missing", "", True, f"pip install {name}")
 
 
-def _plugins(registry: Registry) -> Finding:
+def _plugins(registry: Registry) -> Diagnosis:
     packages = sorted({str(entry.plugin) for entry in registry.entries.values()})
     if registry.failures:
         failed = ", ".join(sorted({str(failure.plugin) for failure in registry.failures}))
-        return Finding("plugins", "broken", f"failed: {failed}", False, "see 'mlens plugins'; the others work")
-    return Finding("plugins", "ok", ", ".join(packages))
+        return Diagnosis("plugins", "broken", f"failed: {failed}", False, "see 'mlens plugins'; the others work")
+    return Diagnosis("plugins", "ok", ", ".join(packages))
 
 
-def _numba_cache() -> Finding:
+def _numba_cache() -> Diagnosis:
     """Compiled code is kept beside the sources, or where NUMBA_CACHE_DIR says; else it is compiled for every run."""
+    from importlib.util import find_spec
+
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     spec = find_spec("magiclens")
-    places = [Path(chosen)] if chosen else [Path(spec.origin).parent] if spec and spec.origin else []
+    folders = [Path(chosen)] if chosen else [Path(spec.origin).parent] if spec and spec.origin else []
     if not chosen:
-        places.append(Path.home() / ".cache")
-    writable = next((place for place in places if _writable(place)), None)
+        folders.append(Path.home() / ".cache")
+    writable = next((folder for folder in folders if _writable(folder)), None)
     advice = "every run compiles for a minute: set NUMBA_CACHE_DIR to a folder that can be written"
     if writable is None:
-        return Finding("numba cache", "broken", f"cannot write in {', '.join(map(str, places))}", False, advice)
-    return Finding("numba cache", "ok", str(writable))
+        return Diagnosis("numba cache", "broken", f"cannot write in {', '.join(map(str, folders))}", False, advice)
+    return Diagnosis("numba cache", "ok", str(writable))
 
 
 def _writable(folder: Path) -> bool:
     """Whether files can be made there, or in the nearest folder above that exists."""
-    there = next((place for place in (folder, *folder.parents) if place.exists()), folder)
-    return there.is_dir() and os.access(there, os.W_OK)
+    nearest = next((parent for parent in (folder, *folder.parents) if parent.exists()), folder)
+    return nearest.is_dir() and os.access(nearest, os.W_OK)
 
 
-def _llvm() -> Finding:
-    """Tried in a child process, since an LLVM that is too old aborts the process that tries."""
+def _llvm() -> Diagnosis:
+    """Whether Mitsuba finds an LLVM; tried in a child process, since one that is too old aborts the process."""
     from magiclens.rendering.mitsuba import LLVM_VARIABLE, working_llvm
 
     library = working_llvm()
@@ -149,44 +179,45 @@ def _llvm() -> Finding:
     return _optional("LLVM for Mitsuba", library, advice)
 
 
-def _movies() -> Finding:
+def _movies() -> Diagnosis:
     """GIF and MP4 are read and written by the FFmpeg libraries that PyAV brings along."""
 
-    def look() -> str:
+    def try_movies() -> str:
         import av
 
         av.codec.Codec("h264", "w")
         libraries = av.library_versions
         return f"libavcodec {'.'.join(map(str, libraries['libavcodec']))}, with H.264"
 
-    return _tried("FFmpeg (av)", look, "pip install --force-reinstall av")
+    return _tried("FFmpeg (av)", try_movies, "pip install --force-reinstall av")
 
 
-def _font() -> Finding:
+def _font() -> Diagnosis:
     """The font in which texts are written comes with matplotlib."""
 
-    def look() -> str:
+    def try_text() -> str:
         from magiclens.images.text import text
 
         ink = 1 - text("magic lens", 64).mean()
-        if not 0.01 < ink < 0.9:
+        if not _LEAST_INK < ink < _MOST_INK:
             raise ValueError("letters leave no ink")
         return "writes text"
 
-    return _tried("font", look, "pip install --force-reinstall matplotlib")
+    return _tried("font", try_text, "pip install --force-reinstall matplotlib")
 
 
-def _tried(name: str, look: Callable[[], str], advice: str) -> Finding:
+def _tried(name: str, attempt: Callable[[], str], advice: str) -> Diagnosis:
+    """Whether an attempt to use a library works; whatever it raises is the library's fault."""
     try:
-        return Finding(name, "ok", look(), True)
+        return Diagnosis(name, "ok", attempt(), True)
     except Exception as error:
-        return Finding(name, "broken", f"{type(error).__name__}: {error}", True, advice)
+        return Diagnosis(name, "broken", f"{type(error).__name__}: {error}", True, advice)
 
 
-def _program(program: Program) -> Finding:
+def _program(program: _Program) -> Diagnosis:
     found = next((path for path in map(shutil.which, program.names) if path), None)
     return _optional(program.title, found, f"{program.use}: {program.get}")
 
 
-def _optional(name: str, found: str | None, advice: str) -> Finding:
-    return Finding(name, "ok" if found else "missing", found or "", False, advice)
+def _optional(name: str, found: str | None, advice: str) -> Diagnosis:
+    return Diagnosis(name, "ok" if found else "missing", found or "", False, advice)

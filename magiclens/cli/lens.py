@@ -1,0 +1,101 @@
+"""The commands that use the lens of a run folder: ``encode``, ``decode``, ``preflight``, ``machined`` and ``view``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from magiclens.cli.common import AsJson, Quiet, RunFolder, Traceback, print_result, reporting
+
+_ViewName = Annotated[
+    str | None, typer.Option("--view", metavar="NAME", help="Through which view's eye; the first by default.")
+]
+_PicturesOut = Annotated[
+    Path, typer.Option("--out", "-o", metavar="OUT", help="A PNG, GIF or MP4, or a folder.", show_default=False)
+]
+
+
+def encode_command(
+    run_dir: RunFolder,
+    pictures: Annotated[
+        Path, typer.Argument(metavar="PICTURES", help="A picture, or a folder, GIF or MP4.", show_default=False)
+    ],
+    out: _PicturesOut,
+    view: _ViewName = None,
+    traceback: Traceback = False,
+) -> None:
+    """Paint the source that shows PICTURES through the universal lens of RUN_DIR."""
+    with reporting(traceback):
+        from magiclens.images.convert import convert
+        from magiclens.running.open_run import open_run
+
+        lens = open_run(run_dir)
+        px_per_mm = len(lens.view(view).source) / lens.plan.lens.source_size_mm
+        typer.echo(convert(lambda frames: lens.encode(frames, view), pictures, out, px_per_mm))
+
+
+def decode_command(
+    run_dir: RunFolder,
+    sources: Annotated[
+        Path, typer.Argument(metavar="SOURCES", help="A source, or a folder, GIF or MP4 of them.", show_default=False)
+    ],
+    out: _PicturesOut,
+    view: _ViewName = None,
+    traceback: Traceback = False,
+) -> None:
+    """Show what the eye sees through the lens of RUN_DIR when SOURCES lie below it."""
+    with reporting(traceback):
+        from magiclens.images.convert import convert
+        from magiclens.running.open_run import open_run
+
+        lens = open_run(run_dir)
+        typer.echo(convert(lambda frames: lens.decode(frames, view), sources, out))
+
+
+def preflight_command(
+    run_dir: RunFolder, quiet: Quiet = False, as_json: AsJson = False, traceback: Traceback = False
+) -> None:
+    """Check whether the lens of RUN_DIR is fit to be made, and write its preflight.html. Exit code 1: it is not."""
+    with reporting(traceback):
+        from magiclens.running.open_run import check_run_folder
+
+        found, text = check_run_folder(run_dir)
+        page, data = run_dir / "preflight.html", run_dir / "preflight.json"
+        print_result(lambda: f"{text}\n{page}", lambda: json.loads(data.read_text(encoding="utf-8")), quiet, as_json)
+        if found.status == "red":
+            raise typer.Exit(1)
+
+
+def machined_command(
+    run_dir: RunFolder, quiet: Quiet = False, as_json: AsJson = False, traceback: Traceback = False
+) -> None:
+    """Simulate the milling programs of RUN_DIR: how they fit, and pictures of what their lens shows."""
+    with reporting(traceback):
+        from dataclasses import asdict
+
+        from magiclens.running.machined import as_text, machined
+
+        found = machined(run_dir)
+        print_result(lambda: as_text(found), lambda: asdict(found), quiet, as_json)
+
+
+def view_command(
+    run_dir: RunFolder,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="FILE", help="The page.", show_default="RUN_DIR/view.html"),
+    ] = None,
+    show: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in a browser.")] = True,
+    traceback: Traceback = False,
+) -> None:
+    """Write a page on which the lens of RUN_DIR is moved about on its source, and open it."""
+    with reporting(traceback):
+        from magiclens.web.viewer import write_view
+
+        page = write_view(run_dir, out)
+        typer.echo(page)
+        if show:
+            typer.launch(page.absolute().as_uri())

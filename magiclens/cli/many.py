@@ -1,0 +1,85 @@
+"""The commands that make many lenses, with an executor: ``mlens sweep`` and ``mlens gallery``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from magiclens.cli.common import (
+    AsJson,
+    ExecutorName,
+    ExecutorSettings,
+    Quiet,
+    SpecFile,
+    Traceback,
+    chosen_executor,
+    end_on_sigterm,
+    print_no_note,
+    print_note,
+    print_result,
+    reporting,
+)
+
+_SweptSettings = Annotated[
+    list[str],
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUES",
+        default_factory=list,
+        show_default=False,
+        help="Values to try, such as lens.facets=16,32,64; again for more keys. [a, b] is one value.",
+    ),
+]
+
+
+def sweep_command(
+    spec: SpecFile,
+    settings: _SweptSettings,
+    executor_settings: ExecutorSettings,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="The sweep's folder.", show_default="out/NAME-sweep")
+    ] = None,
+    executor: ExecutorName = "serial",
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+    traceback: Traceback = False,
+) -> None:
+    """Run SPEC with every combination of some values, and compare them on one sheet.
+
+    Combinations that are finished are not run again. Exit code 1: some failed, the sheet says why.
+    """
+    with reporting(traceback):
+        from magiclens.sweep.sweeping import sweep_spec
+        from magiclens.sweep.table import as_text, facts
+
+        end_on_sigterm()
+        worker, registry = chosen_executor(executor, executor_settings)
+        done = sweep_spec(spec, settings, out, worker, registry, print_no_note if quiet or as_json else print_note)
+        print_result(lambda: as_text(done), lambda: facts(done), quiet, as_json)
+        if done.failed:
+            raise typer.Exit(1)
+
+
+def gallery_command(
+    context: typer.Context,
+    executor_settings: ExecutorSettings,
+    listed: Annotated[
+        Path, typer.Argument(metavar="[LIST]", help="The gallery's list, a YAML file.")
+    ] = Path("gallery", "gallery.yaml"),
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="The site's folder.")] = Path("out", "gallery"),
+    small: Annotated[bool, typer.Option("--quick", help="Smaller lenses, as the list says.")] = False,
+    executor: ExecutorName = "processes",
+    quiet: Quiet = False,
+    traceback: Traceback = False,
+) -> None:
+    """Build a static site of all lenses on LIST, with the documentation. What is up to date is not made again."""
+    with reporting(traceback):
+        from magiclens.web.gallery.build import build_gallery
+
+        end_on_sigterm()
+        worker, registry = chosen_executor(executor, executor_settings)
+        # the site's reference documents all commands, and so it needs them as typer has built them
+        commands = vars(context.find_root().command)["commands"]
+        build_gallery(listed, out, worker, registry, commands, small, print_no_note if quiet else print_note)
