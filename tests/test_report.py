@@ -22,9 +22,9 @@ from magiclens.analysis.warp import INK, facet_colours, tinted
 from magiclens.contract.artifacts import Assignment, FloatArray, HeightField, IntArray, Lens, Scene, Solid, View
 from magiclens.contract.result import RunResult
 from magiclens.drawing.photographs import photograph
-from magiclens.drawing.scales import BLUE_TO_RED, DIVERGING, Scale
-from magiclens.drawing.shading import relief, sample_heights, shadow
-from magiclens.drawing.sheet import GAP, LABELS, LINE, PAPER, Tile, display, sheet
+from magiclens.drawing.scales import BLUE_TO_RED, DIVERGING, ColourScale
+from magiclens.drawing.shading import hidden_share, sample_heights, shade_heights
+from magiclens.drawing.tiles import PAPER_COLOUR, TEXT_LINE, TICK_WIDTH, TILE_GAP, Tile, render_rows, to_pixels
 from magiclens.geometry.facets import central_slopes, patches_seen
 from magiclens.plan.compile import load_plan
 from magiclens.plan.registry import Registry
@@ -129,7 +129,7 @@ def test_a_report_is_six_figures_and_a_page(report: Path) -> None:
 
 def test_the_contact_sheet_has_a_row_per_view_and_a_column_per_renderer(report: Path) -> None:
     with Image.open(report / "figures" / "contact-sheet.png") as image:
-        assert image.size == (4 * 400 + 5 * GAP, 2 * (400 + LINE + GAP) + LINE + GAP)
+        assert image.size == (4 * 400 + 5 * TILE_GAP, 2 * (400 + TEXT_LINE + TILE_GAP) + TEXT_LINE + TILE_GAP)
 
 
 def test_equal_runs_give_equal_reports(data: RunResult, report: Path, tmp_path: Path) -> None:
@@ -190,7 +190,8 @@ def test_colour_views_stay_coloured(written: Callable[[RunResult], str], tmp_pat
     view = View("green", green, green, np.array([0.0, 0.0, 440.0]))
     written(run_data(small_lens(), (view,)))
     with Image.open(tmp_path / "figures" / "contact-sheet.png") as image:
-        middles = [image.getpixel((GAP + 200 + k * (400 + GAP), GAP + LINE + 200)) for k in range(3)]
+        left, row = TILE_GAP + 200, TILE_GAP + TEXT_LINE + 200
+        middles = [image.getpixel((left + k * (400 + TILE_GAP), row)) for k in range(3)]
     assert middles == [(0, 255, 0)] * 3
 
 
@@ -315,14 +316,14 @@ def test_slopes_that_face_the_lamp_are_brighter(dx: int, dy: int, brighter: bool
     at = np.linspace(0.0, 1.0, 32, dtype=np.float32)
     slope = np.float32(0.4)
     tilted = slope * (dx * at[None, :] - dy * at[:, None]) + np.zeros((32, 32), np.float32)
-    flat = relief(np.zeros((32, 32), np.float32), 1 / 31)[16, 16].sum()
-    assert (relief(tilted, 1 / 31)[16, 16].sum() > flat) == brighter
+    flat = shade_heights(np.zeros((32, 32), np.float32), 1 / 31)[16, 16].sum()
+    assert (shade_heights(tilted, 1 / 31)[16, 16].sum() > flat) == brighter
 
 
 def test_shadows_fall_away_from_the_lamp() -> None:
     heights = np.zeros((60, 60), np.float32)
     heights[20:30, 20:30] = 2.0
-    hidden = shadow(heights, 0.2)
+    hidden = hidden_share(heights, 0.2)
     assert not hidden[20:30, 20:30].any()
     assert not hidden[:20].any()
     assert not hidden[:, :20].any()
@@ -370,8 +371,8 @@ def test_before_and_after_annealing_are_as_the_first_eye_of_all_sees_them() -> N
         pictures = predict(data.scene, chosen, SIDE, 4, heights)
         photos = [photograph(picture, view) for picture, view in zip(pictures, views, strict=True)]
         assert tile.caption == f"view: {photos[0].caption}"
-        assert np.array_equal(tile.picture, display(photos[0].picture, SIDE))
-        assert not np.array_equal(tile.picture, display(photos[1].picture, SIDE))
+        assert np.array_equal(tile.picture, to_pixels(photos[0].picture, SIDE))
+        assert not np.array_equal(tile.picture, to_pixels(photos[1].picture, SIDE))
 
 
 @pytest.mark.parametrize(
@@ -414,17 +415,17 @@ def test_grid_lines_lie_between_facets() -> None:
 
 
 def test_scales_end_in_their_end_colours_and_clip() -> None:
-    scale = Scale(BLUE_TO_RED, 0.0, 18.0)
+    scale = ColourScale(BLUE_TO_RED, 0.0, 18.0)
     low, high, beyond = scale.paint(np.array([0.0, 18.0, 99.0]))
     assert low.tobytes().hex() == BLUE_TO_RED.split()[0]
     assert high.tobytes().hex() == beyond.tobytes().hex() == BLUE_TO_RED.split()[-1]
 
 
 def test_ticks_are_round_and_in_their_places() -> None:
-    assert list(Scale(DIVERGING, -4.87, 4.87).ticks().values()) == ["-4", "-2", "0", "+2", "+4"]
-    assert Scale(DIVERGING, -4.0, 4.0).ticks() == {0.0: "-4", 0.25: "-2", 0.5: "0", 0.75: "+2", 1.0: "+4"}
-    assert list(Scale(BLUE_TO_RED, 0.0, 0.012).ticks().values())[:3] == ["0.000", "0.002", "0.004"]
-    assert list(Scale(BLUE_TO_RED, 0.0, 2.0, whole=True).ticks().values()) == ["0", "1", "2"]
+    assert list(ColourScale(DIVERGING, -4.87, 4.87).ticks().values()) == ["-4", "-2", "0", "+2", "+4"]
+    assert ColourScale(DIVERGING, -4.0, 4.0).ticks() == {0.0: "-4", 0.25: "-2", 0.5: "0", 0.75: "+2", 1.0: "+4"}
+    assert list(ColourScale(BLUE_TO_RED, 0.0, 0.012).ticks().values())[:3] == ["0.000", "0.002", "0.004"]
+    assert list(ColourScale(BLUE_TO_RED, 0.0, 2.0, whole=True).ticks().values()) == ["0", "1", "2"]
 
 
 def test_a_caption_that_is_a_little_too_long_is_made_smaller_not_cut() -> None:
@@ -432,8 +433,8 @@ def test_a_caption_that_is_a_little_too_long_is_made_smaller_not_cut() -> None:
 
     def width(tile: Tile) -> int:
         """Pixels from the first to the last letter of the caption."""
-        inked = (np.asarray(sheet([[tile]]))[GAP + LINE + 44 :, GAP:-GAP] < 255).any(axis=(0, 2))
-        return int(np.flatnonzero(inked).max())
+        below = np.asarray(render_rows([[tile]]))[TILE_GAP + TEXT_LINE + 44 :, TILE_GAP:-TILE_GAP]
+        return int(np.flatnonzero((below < 255).any(axis=(0, 2))).max())
 
     wide, narrow = (Tile(np.zeros((40, side, 3), np.uint8), "title", text) for side in (900, 420))
     cut = Tile(np.zeros((40, 420, 3), np.uint8), "title", text[:-1])
@@ -442,14 +443,16 @@ def test_a_caption_that_is_a_little_too_long_is_made_smaller_not_cut() -> None:
 
 
 def test_long_captions_stay_under_their_pictures() -> None:
-    tile = Tile(np.zeros((40, 200, 3), np.uint8), "a title " * 40, "a caption\n" * 40, Scale(DIVERGING, 0.0, 1.0))
-    image = sheet([[tile]])
-    assert image.width == 200 + 2 * GAP + GAP // 2 + 20 + LABELS
+    tile = Tile(np.zeros((40, 200, 3), np.uint8), "a title " * 40, "a caption\n" * 40, ColourScale(DIVERGING, 0.0, 1.0))
+    image = render_rows([[tile]])
+    assert image.width == 200 + 2 * TILE_GAP + TILE_GAP // 2 + 20 + TICK_WIDTH
     pixels = np.asarray(image)
-    outside = np.concatenate([pixels[: GAP + LINE - 4, GAP + 204 :], pixels[GAP + LINE + 44 :, GAP + 204 :]])
-    assert PAPER == "#ffffff"
-    assert (outside == 255).all()
-    assert (pixels[GAP + LINE + 44 :, GAP : GAP + 200] < 255).any()
+    top = TILE_GAP + TEXT_LINE
+    above, below = pixels[: top - 4], pixels[top + 44 :]
+    assert PAPER_COLOUR == "#ffffff"
+    assert (above[:, TILE_GAP + 204 :] == 255).all()
+    assert (below[:, TILE_GAP + 204 :] == 255).all()
+    assert (below[:, TILE_GAP : TILE_GAP + 200] < 255).any()
 
 
 def test_metrics_have_plain_names_and_units() -> None:

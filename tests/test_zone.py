@@ -16,7 +16,18 @@ from magiclens.analysis.zone_figures import zone_figures
 from magiclens.contract.artifacts import Lens, Scene, Solid, View
 from magiclens.contract.hookspecs import hookimpl
 from magiclens.contract.result import Zone
-from magiclens.drawing.chart import BOTTOM, HEIGHT, LEFT, RIGHT, SHADE, TOP, WIDTH, Axis, Chart, Curve
+from magiclens.drawing.chart import (
+    CHART_HEIGHT,
+    CHART_WIDTH,
+    MARGIN_BOTTOM,
+    MARGIN_LEFT,
+    MARGIN_RIGHT,
+    MARGIN_TOP,
+    SHADED_COLOUR,
+    Chart,
+    ChartAxis,
+    Curve,
+)
 from magiclens.geometry.solid import solid_from_heights
 from magiclens.images import score
 from magiclens.plan.compile import load_plan
@@ -146,17 +157,17 @@ def test_moves_are_degrees_at_the_lens() -> None:
 
 def test_a_chart_has_its_points_in_their_places() -> None:
     xs, ys = np.array([0.0, 5.0, 10.0]), np.array([10.0, 30.0, 20.0])
-    axes = Axis("x", 0.0, 10.0), Axis("y", 10.0, 30.0)
+    axes = ChartAxis("x", 0.0, 10.0), ChartAxis("y", 10.0, 30.0)
     draw = Chart(xs, [Curve("c", ys, "#ff0000")], *axes, ("other", {0.5: "half"}), (2.0, "shaded"), [5.0]).draw()
-    assert draw.shape == (HEIGHT, WIDTH, 3)
+    assert draw.shape == (CHART_HEIGHT, CHART_WIDTH, 3)
     red = (draw == (255, 0, 0)).all(axis=-1)
-    wide, tall = WIDTH - LEFT - RIGHT, HEIGHT - TOP - BOTTOM
+    wide, tall = CHART_WIDTH - MARGIN_LEFT - MARGIN_RIGHT, CHART_HEIGHT - MARGIN_TOP - MARGIN_BOTTOM
     for x, y in ((0.0, 10.0), (2.5, 20.0), (5.0, 30.0), (10.0, 20.0)):
-        row, column = HEIGHT - BOTTOM - (y - 10) / 20 * tall, LEFT + x / 10 * wide
+        row, column = CHART_HEIGHT - MARGIN_BOTTOM - (y - 10) / 20 * tall, MARGIN_LEFT + x / 10 * wide
         assert red[round(row) - 2 : round(row) + 3, round(column) - 2 : round(column) + 3].any()
-    assert not red[HEIGHT - BOTTOM - 30 : HEIGHT - BOTTOM, LEFT + wide // 2 :].any()
-    shaded = (draw == tuple(bytes.fromhex(SHADE[1:]))).all(axis=-1)[HEIGHT - BOTTOM - 40]
-    assert np.flatnonzero(shaded).max() == pytest.approx(LEFT + 0.2 * wide, abs=2)
+    assert not red[CHART_HEIGHT - MARGIN_BOTTOM - 30 : CHART_HEIGHT - MARGIN_BOTTOM, MARGIN_LEFT + wide // 2 :].any()
+    shaded = (draw == tuple(bytes.fromhex(SHADED_COLOUR[1:]))).all(axis=-1)[CHART_HEIGHT - MARGIN_BOTTOM - 40]
+    assert np.flatnonzero(shaded).max() == pytest.approx(MARGIN_LEFT + 0.2 * wide, abs=2)
     again = Chart(xs, [Curve("c", ys, "#ff0000")], *axes, ("other", {0.5: "half"}), (2.0, "shaded"), [5.0]).draw()
     np.testing.assert_array_equal(draw, again)
 
@@ -205,7 +216,7 @@ def test_a_run_reports_the_zone_and_leaves_the_lens_alone(tmp_path: Path, monkey
     paths = [artifact["path"] for artifact in run.manifest["artifacts"]]
     assert {"figures/stable-zone.png", "figures/stable-zone-curve.png"} <= set(paths)
     with Image.open(run.folder / "figures" / "stable-zone-curve.png") as image:
-        assert image.width > WIDTH
+        assert image.width > CHART_WIDTH
     page = (run.folder / "report.html").read_text(encoding="utf-8")
     assert "From the worst place within the inner cone" in page
     assert list(dict.fromkeys(seen)) == [stage["kind"] for stage in run.manifest["stages"]]

@@ -13,8 +13,8 @@ from magiclens.contract.result import RunResult
 from magiclens.drawing.figure import Figure
 from magiclens.drawing.photographs import photograph
 from magiclens.drawing.scales import Pixels
-from magiclens.drawing.shading import shaded
-from magiclens.drawing.sheet import Tile, display
+from magiclens.drawing.shading import shade_slopes
+from magiclens.drawing.tiles import Tile, to_pixels
 from magiclens.geometry.facets import central_slopes
 
 SIDE = 480
@@ -43,7 +43,7 @@ def before_after(data: RunResult) -> Figure:
 def surface(scene: Scene, assignment: Assignment) -> Pixels:
     """(SIDE, SIDE, 3): the slopes that an assignment asks for, in the light; no integration, so no steps."""
     slopes = fine_slopes(scene, assignment, math.ceil(SIDE / scene.lens.facets))
-    return display(shaded(slopes), SIDE)
+    return to_pixels(shade_slopes(slopes), SIDE)
 
 
 def fine_slopes(scene: Scene, assignment: Assignment, parts: int) -> FloatArray:
@@ -66,4 +66,4 @@ def _prediction(scene: Scene, assignment: Assignment, heights_mm: FloatArray | N
     """The first view's picture under perfect facets that stand at these heights (N, N)."""
     first = scene.views[0]
     photo = photograph(predict_view(scene, assignment, first, SIDE, heights_mm=heights_mm), first)
-    return Tile(display(photo.picture, SIDE), "What it would show", f"{first.name}: {photo.caption}")
+    return Tile(to_pixels(photo.picture, SIDE), "What it would show", f"{first.name}: {photo.caption}")

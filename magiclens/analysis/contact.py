@@ -11,7 +11,7 @@ from magiclens.contract.result import RunResult
 from magiclens.drawing.figure import Figure
 from magiclens.drawing.photographs import Photograph
 from magiclens.drawing.scales import Pixels
-from magiclens.drawing.sheet import Tile, display
+from magiclens.drawing.tiles import Tile, to_pixels
 
 MARK = (232, 89, 12)
 """Orange of the mark on the lens."""
@@ -21,14 +21,14 @@ def contact_sheet(data: RunResult, seen: Mapping[str, Sequence[Photograph]]) -> 
     """One row per view: source, target and every renderer's photograph with its scores."""
     views = data.scene.views
     side = 400 if len(views) <= 4 else 280
-    sources = {view.source_name: display(view.source, side) for view in views}
+    sources = {view.source_name: to_pixels(view.source, side) for view in views}
     turned = any(view.quarter_turns for view in views)
     titles = ["Source", "Target", *(f"Through the lens ({name})" for name in seen)]
     rows, blank = [], [""] * len(titles)
     for k, view in enumerate(views):
         source = sources[view.source_name]
-        pictures = [marked(source, data.scene.lens, view) if turned else source, display(view.target, side)]
-        pictures += [display(photos[k].picture, side) for photos in seen.values()]
+        pictures = [marked(source, data.scene.lens, view) if turned else source, to_pixels(view.target, side)]
+        pictures += [to_pixels(photos[k].picture, side) for photos in seen.values()]
         captions = [place(view, data.scene.lens, turned), view.name, *(photos[k].caption for photos in seen.values())]
         rows.append([Tile(*parts) for parts in zip(pictures, titles if k == 0 else blank, captions, strict=True)])
     mark = " The orange corner of the lens shows how it is turned." if turned else ""

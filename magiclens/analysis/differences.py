@@ -10,13 +10,13 @@ import numpy as np
 from magiclens.contract.artifacts import FloatArray, View
 from magiclens.drawing.figure import Figure
 from magiclens.drawing.photographs import Photograph
-from magiclens.drawing.scales import DIVERGING, Pixels, Scale
-from magiclens.drawing.sheet import Tile, grid
+from magiclens.drawing.scales import DIVERGING, ColourScale, Pixels
+from magiclens.drawing.tiles import Tile, wrap_tiles
 from magiclens.images.colour import luminance, to_display
 from magiclens.images.resample import resize
 
 SIDE = 512
-SCALE = Scale(DIVERGING, -1.0, 1.0)
+SCALE = ColourScale(DIVERGING, -1.0, 1.0)
 
 
 def error_map(renderer: str, photos: Sequence[Photograph], views: Sequence[View], facets: int) -> Figure:
@@ -25,7 +25,7 @@ def error_map(renderer: str, photos: Sequence[Photograph], views: Sequence[View]
     for view, photo in zip(views, photos, strict=True):
         picture = gridded(SCALE.paint(difference(photo.picture, photo.target, SIDE)), facets)
         tiles.append(Tile(picture, "", f"{view.name}: {photo.caption}"))
-    rows = [[*row[:-1], replace(row[-1], scale=SCALE)] for row in grid(tiles)]
+    rows = [[*row[:-1], replace(row[-1], scale=SCALE)] for row in wrap_tiles(tiles)]
     return Figure(
         "error",
         "Where the picture differs",

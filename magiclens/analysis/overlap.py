@@ -11,8 +11,8 @@ from numba import njit
 from magiclens.contract.artifacts import Assignment, FloatArray, IntArray, Lens, Scene, View
 from magiclens.contract.result import RunResult
 from magiclens.drawing.figure import Figure
-from magiclens.drawing.scales import BLUE_TO_RED, Pixels, Scale
-from magiclens.drawing.sheet import Tile, display, grid
+from magiclens.drawing.scales import BLUE_TO_RED, ColourScale, Pixels
+from magiclens.drawing.tiles import Tile, to_pixels, wrap_tiles
 from magiclens.geometry.facets import Patches, patches_seen
 
 SIDE = 480
@@ -31,7 +31,7 @@ def overlap_map(data: RunResult) -> Figure:
     fine = np.asarray(np.sum(list(each.values()), axis=0))
     counts = coarse(fine)
     most = np.quantile(counts[counts > 0], 0.999, method="nearest") if counts.any() else 1
-    scale = Scale(BLUE_TO_RED, 0.0, float(most), whole=True)
+    scale = ColourScale(BLUE_TO_RED, 0.0, float(most), whole=True)
     together = f" for {len(each)} eyes" if len(each) > 1 else ""
     caption = f"at most {counts.max()}{together}; {np.mean(fine > 0):.0%} of the source is seen"
     tiles = [Tile(scale.paint(counts), "How many facets see each point", caption, scale)]
@@ -44,7 +44,7 @@ def overlap_map(data: RunResult) -> Figure:
     return Figure(
         "overlap",
         "Where the facets look",
-        grid(tiles),
+        wrap_tiles(tiles),
         "The source as it lies under the lens, blue where no facet looks, red where most do; "
         "then the source itself, faded where no facet ever looks.",
     )
@@ -55,7 +55,7 @@ def _matched(scene: Scene, matched: Assignment) -> Tile:
     patches = patches_seen(scene, matched, scene.views[0].eye_in_lens_frame_mm)
     fine = overlaps(scene.lens, patches, FINER * SIDE)
     counts = coarse(fine)
-    scale = Scale(BLUE_TO_RED, 0.0, float(counts.max()), whole=True)
+    scale = ColourScale(BLUE_TO_RED, 0.0, float(counts.max()), whole=True)
     caption = f"at most {counts.max()}; {np.mean(fine > 0):.0%} of the source is seen"
     return Tile(scale.paint(counts), "A lens matched to the first source", caption, scale)
 
@@ -115,7 +115,7 @@ def seen(views: Sequence[View], counts: Sequence[IntArray]) -> IntArray:
 
 def faded(source: FloatArray, counts: IntArray) -> Pixels:
     """(S, S, 3): a source (H, W, C) in linear light, faint where its counts (S, S) are 0."""
-    picture = display(source, len(counts)).astype(np.float32)
+    picture = to_pixels(source, len(counts)).astype(np.float32)
     return np.asarray(np.where(counts[..., None] > 0, picture, faint(picture)), np.uint8)
 
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from magiclens.contract.result import RunResult, Secrecy
 from magiclens.drawing.figure import Figure
-from magiclens.drawing.scales import GLOW, Scale
-from magiclens.drawing.sheet import Tile, display
+from magiclens.drawing.scales import GLOW, ColourScale
+from magiclens.drawing.tiles import Tile, to_pixels
 
 SIDE = 400
 
@@ -15,13 +15,14 @@ SIDE = 400
 def secrecy_map(data: RunResult, found: Secrecy) -> Figure:
     """The first source, its target, and how much of each tile stands readable in its patch."""
     view = data.scene.views[0]
-    scale = Scale(GLOW, 0.0, 1.0)
+    scale = ColourScale(GLOW, 0.0, 1.0)
     facet = np.arange(SIDE) * len(found.tiles) // SIDE
     bits = data.manifest["metrics"].get("permutation_bits")
     strength = f"; about 2^{bits:.0f} lenses of this kind exist" if bits else ""
+    likeness = f"PSNR {found.psnr_db:.1f} dB, SSIM {found.ssim:.2f} of the target"
     row = [
-        Tile(display(view.source, SIDE), "Source", f"PSNR {found.psnr_db:.1f} dB, SSIM {found.ssim:.2f} of the target"),
-        Tile(display(view.target, SIDE), "Target", view.name),
+        Tile(to_pixels(view.source, SIDE), "Source", likeness),
+        Tile(to_pixels(view.target, SIDE), "Target", view.name),
         Tile(
             scale.paint(found.tiles[facet[:, None], facet]),
             "Readable in its own patch",

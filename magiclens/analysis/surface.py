@@ -6,9 +6,9 @@ import numpy as np
 
 from magiclens.contract.artifacts import FloatArray, HeightField
 from magiclens.drawing.figure import Figure
-from magiclens.drawing.scales import DIVERGING, GLOW, Scale
-from magiclens.drawing.shading import relief, sample_heights
-from magiclens.drawing.sheet import FINER, Tile, display, painted, shrunk
+from magiclens.drawing.scales import DIVERGING, GLOW, ColourScale
+from magiclens.drawing.shading import sample_heights, shade_heights
+from magiclens.drawing.tiles import OVERSAMPLING, Tile, mean_of_blocks, paint_smoothly, to_pixels
 from magiclens.integration.measures import steps
 
 SIDE = 640
@@ -16,12 +16,12 @@ SIDE = 640
 
 def height_map(field: HeightField) -> Figure:
     """Heights in colours, and the top in the light."""
-    heights = sample_heights(field, FINER * SIDE)
-    scale = Scale(DIVERGING, -_reach(heights), _reach(heights))
+    heights = sample_heights(field, OVERSAMPLING * SIDE)
+    scale = ColourScale(DIVERGING, -_reach(heights), _reach(heights))
     extent = f"{field.heights_mm.min():+.2f} to {field.heights_mm.max():+.2f} mm about the reference plane"
-    cast = display(shrunk(relief(heights, field.lens.size_mm / len(heights))), SIDE)
+    cast = to_pixels(mean_of_blocks(shade_heights(heights, field.lens.size_mm / len(heights))), SIDE)
     tiles = [
-        Tile(painted(scale, heights), "Height in mm", extent, scale),
+        Tile(paint_smoothly(scale, heights), "Height in mm", extent, scale),
         Tile(cast, "The lens in slanting light", "the lamp is at the upper left"),
     ]
     caption = (
@@ -35,9 +35,9 @@ def step_map(field: HeightField) -> Figure:
     """The step across every wall, drawn where the wall is."""
     right, below = steps(field.heights_mm)
     jumps = np.concatenate([right.ravel(), below.ravel()]) if right.size else np.zeros(1)
-    scale = Scale(GLOW, 0.0, max(float(np.quantile(jumps, 0.995)), 1e-3))
+    scale = ColourScale(GLOW, 0.0, max(float(np.quantile(jumps, 0.995)), 1e-3))
     caption = f"mean {jumps.mean():.3f} mm, highest {jumps.max():.2f} mm"
-    picture = painted(scale, wall_picture(right, below, FINER * SIDE))
+    picture = paint_smoothly(scale, wall_picture(right, below, OVERSAMPLING * SIDE))
     tile = Tile(picture, "Step across each wall in mm", caption, scale)
     return Figure(
         "steps",

@@ -11,8 +11,8 @@ from magiclens.contract.artifacts import FloatArray, HeightField, IntArray
 from magiclens.contract.result import RunResult
 from magiclens.drawing.figure import Figure
 from magiclens.drawing.scales import Pixels
-from magiclens.drawing.shading import relief, sample_heights
-from magiclens.drawing.sheet import FINER, Tile, display, shrunk
+from magiclens.drawing.shading import sample_heights, shade_heights
+from magiclens.drawing.tiles import OVERSAMPLING, Tile, mean_of_blocks, to_pixels
 from magiclens.geometry.facets import patches_seen
 
 SIDE = 480
@@ -25,8 +25,8 @@ def warp_map(data: RunResult) -> Figure:
     view, lens = data.scene.views[0], data.scene.lens
     local = view.in_lens_frame()
     patches = patches_seen(data.scene, data.assignment, local.eye_mm, data.height_field.levels_mm)
-    looking = np.rot90(facets_that_look(lens, patches, FINER * SIDE), view.quarter_turns)
-    facet = np.arange(FINER * SIDE) * lens.facets // (FINER * SIDE)
+    looking = np.rot90(facets_that_look(lens, patches, OVERSAMPLING * SIDE), view.quarter_turns)
+    facet = np.arange(OVERSAMPLING * SIDE) * lens.facets // (OVERSAMPLING * SIDE)
     showing = np.rot90(facet[:, None] * lens.facets + facet, view.quarter_turns)
     colours = facet_colours(lens.facets)
     row = [
@@ -51,12 +51,12 @@ def facet_colours(facets: int) -> FloatArray:
 
 
 def tinted(linear: FloatArray, facets: IntArray, colours: FloatArray) -> Pixels:
-    """(S, S, 3): a picture (H, W, C), linear light, in colours (F, 3) of facets (FINER S, FINER S); grey at -1."""
-    picture = display(linear, len(facets)).astype(np.float32)
+    """(S, S, 3): a picture (H, W, C), linear light, in the colours (F, 3) of facets (2 S, 2 S); grey at -1."""
+    picture = to_pixels(linear, len(facets)).astype(np.float32)
     washed = picture * (1 - INK) + 255 * colours[facets] * INK
-    return np.rint(shrunk(np.where(facets[..., None] < 0, faint(picture), washed))).astype(np.uint8)
+    return np.rint(mean_of_blocks(np.where(facets[..., None] < 0, faint(picture), washed))).astype(np.uint8)
 
 
 def _cast(field: HeightField, turns: int) -> Pixels:
-    heights = np.rot90(sample_heights(field, FINER * SIDE), turns)
-    return display(shrunk(relief(heights, field.lens.size_mm / len(heights))), SIDE)
+    heights = np.rot90(sample_heights(field, OVERSAMPLING * SIDE), turns)
+    return to_pixels(mean_of_blocks(shade_heights(heights, field.lens.size_mm / len(heights))), SIDE)

@@ -6,11 +6,11 @@ import numpy as np
 
 from magiclens.analysis.contact import MARK
 from magiclens.contract.result import RunResult, Zone
-from magiclens.drawing.chart import Axis, Chart, Curve
+from magiclens.drawing.chart import Chart, ChartAxis, Curve
 from magiclens.drawing.figure import Figure
 from magiclens.drawing.photographs import photograph
-from magiclens.drawing.scales import Scale
-from magiclens.drawing.sheet import Tile, display
+from magiclens.drawing.scales import round_ticks
+from magiclens.drawing.tiles import Tile, to_pixels
 
 SIDE = 320
 COLOURS = {"zone": f"#{bytes(MARK).hex()}", "plain": "#2b6cc4"}
@@ -28,7 +28,8 @@ def _pictures(data: RunResult, zone: Zone) -> Figure:
     for lens, pictures in zone.pictures.items():
         photos = [photograph(picture, view) for picture in pictures]
         titles = [names[lens], *places[1:]] if lens == "zone" else [names[lens], *([""] * len(photos[1:]))]
-        rows.append([Tile(display(p.picture, SIDE), title, p.caption) for p, title in zip(photos, titles, strict=True)])
+        both = zip(photos, titles, strict=True)
+        rows.append([Tile(to_pixels(photo.picture, SIDE), title, photo.caption) for photo, title in both])
     return Figure(
         "stable-zone",
         "While the eye moves",
@@ -47,12 +48,12 @@ def _curve(data: RunResult, zone: Zone) -> Figure:
     low, high = min(w.min() for w in worst.values()), max(w.max() for w in worst.values())
     reach, names = float(zone.moves_mm[-1]), _names(data)
     widest = zone.degrees(reach)
-    degrees = {zone.move_mm(place * widest) / reach: text for place, text in Scale("", 0.0, widest).ticks().items()}
+    degrees = {zone.move_mm(place * widest) / reach: text for place, text in round_ticks(0.0, widest).items()}
     chart = Chart(
         zone.moves_mm,
         [Curve(names[lens], curve, COLOURS[lens]) for lens, curve in worst.items()],
-        Axis("how far the eye moves, mm", 0.0, reach),
-        Axis("PSNR, dB", float(np.floor(low - 0.5)), float(np.ceil(high + 0.5))),
+        ChartAxis("how far the eye moves, mm", 0.0, reach),
+        ChartAxis("PSNR, dB", float(np.floor(low - 0.5)), float(np.ceil(high + 0.5))),
         ("degrees", degrees),
         (zone.eyes_mm[0], "inner cone"),
         zone.eyes_mm,

@@ -9,24 +9,27 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from magiclens.contract.artifacts import FloatArray
-from magiclens.drawing.scales import GLOW, Pixels, Scale
-from magiclens.drawing.sheet import INK, MUTED, PAPER, RULE
+from magiclens.drawing.scales import Pixels, round_ticks
+from magiclens.drawing.tiles import MUTED_COLOUR, PAPER_COLOUR, RULE_COLOUR, TEXT_COLOUR
 
 if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
 
-WIDTH, HEIGHT = 1000, 520
-LEFT, RIGHT, TOP, BOTTOM = 96, 24, 76, 76
-"""Pixels of paper around the frame, for the axes' numbers and names."""
-FINER = 3
-"""Drawn at this multiple of the size and then shrunk, which smooths lines."""
-TEXT = 20
-SHADE = "#eef3ea"
+CHART_WIDTH, CHART_HEIGHT = 1000, 520
+"""Size of a chart, pixels."""
+MARGIN_LEFT, MARGIN_RIGHT, MARGIN_TOP, MARGIN_BOTTOM = 96, 24, 76, 76
+"""Pixels of paper around the frame, for the numbers and names of the axes."""
+SHADED_COLOUR = "#eef3ea"
+"""Colour of the shaded part of a chart."""
+_OVERSAMPLING = 3
+"""A chart is drawn at this multiple of its size and then shrunk, which smooths lines."""
+_LETTER = 20
+"""Size of letters, pixels."""
 
 
 @dataclass(frozen=True)
 class Curve:
-    """ys: numbers at the chart's xs. colour: hexadecimal RGB."""
+    """Numbers ``ys`` at the xs of a chart; ``colour`` is hexadecimal RGB."""
 
     name: str
     ys: FloatArray
@@ -34,7 +37,7 @@ class Curve:
 
 
 @dataclass(frozen=True)
-class Axis:
+class ChartAxis:
     """Numbers from ``low`` to ``high`` along an edge of the frame."""
 
     name: str
@@ -42,79 +45,87 @@ class Axis:
     high: float
 
     def ticks(self) -> dict[float, str]:
-        """By place, 0 at ``low`` and 1 at ``high``."""
-        return Scale(GLOW, self.low, self.high).ticks()
+        """Round numbers by position, 0 at ``low`` and 1 at ``high``."""
+        return round_ticks(self.low, self.high)
 
 
 @dataclass(frozen=True)
 class Chart:
-    """Curves over common xs. upper: name and ticks of the upper edge, for x in another unit.
+    """Curves over common ``xs``.
 
-    shaded: up to which x, and what that is. marks: xs with a dotted line.
+    ``upper`` is the name and the ticks of the upper edge, for x in another unit. ``shaded`` says up to which x the
+    chart is shaded, and what this part is called. At ``marks`` there are dotted lines.
     """
 
     xs: FloatArray
     curves: Sequence[Curve]
-    x: Axis
-    y: Axis
+    x: ChartAxis
+    y: ChartAxis
     upper: tuple[str, Mapping[float, str]]
     shaded: tuple[float, str]
     marks: Sequence[float]
 
     def draw(self) -> Pixels:
-        """(HEIGHT, WIDTH, 3)."""
+        """Draw the chart, (CHART_HEIGHT, CHART_WIDTH, 3)."""
         from PIL import Image, ImageDraw
 
-        image = Image.new("RGB", (FINER * WIDTH, FINER * HEIGHT), PAPER)
+        image = Image.new("RGB", (_OVERSAMPLING * CHART_WIDTH, _OVERSAMPLING * CHART_HEIGHT), PAPER_COLOUR)
         draw = ImageDraw.Draw(image)
         left, top = self._at(self.x.low, self.y.high)
         right, bottom = self._at(self.x.high, self.y.low)
-        draw.rectangle((left, top, self._at(self.shaded[0], 0)[0], bottom), fill=SHADE)
-        self._write(draw, left + 8 * FINER, bottom - 18 * FINER, self.shaded[1], MUTED, "lm")
-        self._axes(draw, left, top, right, bottom)
+        draw.rectangle((left, top, self._at(self.shaded[0], 0)[0], bottom), fill=SHADED_COLOUR)
+        _write(draw, (left + 8 * _OVERSAMPLING, bottom - 18 * _OVERSAMPLING), self.shaded[1], MUTED_COLOUR, "lm")
+        self._draw_axes(draw, left, top, right, bottom)
         for mark in self.marks:
             x = self._at(mark, 0)[0]
-            for dot in range(int(top), int(bottom), 12 * FINER):
-                draw.line((x, dot, x, dot + 5 * FINER), fill=MUTED, width=FINER)
+            for dot in range(int(top), int(bottom), 12 * _OVERSAMPLING):
+                draw.line((x, dot, x, dot + 5 * _OVERSAMPLING), fill=MUTED_COLOUR, width=_OVERSAMPLING)
         for curve in self.curves:
-            self._curve(draw, curve)
-        self._legend(draw, right - 340 * FINER, top + 12 * FINER)
-        draw.rectangle((left, top, right, bottom), outline=MUTED, width=FINER)
-        return np.asarray(image.reduce(FINER))
+            self._draw_curve(draw, curve)
+        self._draw_legend(draw, right - 340 * _OVERSAMPLING, top + 12 * _OVERSAMPLING)
+        draw.rectangle((left, top, right, bottom), outline=MUTED_COLOUR, width=_OVERSAMPLING)
+        return np.asarray(image.reduce(_OVERSAMPLING))
 
     def _at(self, x: float, y: float) -> tuple[float, float]:
-        """Where a point lies in the picture."""
+        """Pixel coordinates, before the picture is shrunk, of a point given in the numbers of the axes."""
         across, up = (x - self.x.low) / (self.x.high - self.x.low), (y - self.y.low) / (self.y.high - self.y.low)
-        wide, tall = WIDTH - LEFT - RIGHT, HEIGHT - TOP - BOTTOM
-        return FINER * (LEFT + across * wide), FINER * (HEIGHT - BOTTOM - up * tall)
+        width, height = CHART_WIDTH - MARGIN_LEFT - MARGIN_RIGHT, CHART_HEIGHT - MARGIN_TOP - MARGIN_BOTTOM
+        column, row = MARGIN_LEFT + across * width, CHART_HEIGHT - MARGIN_BOTTOM - up * height
+        return _OVERSAMPLING * column, _OVERSAMPLING * row
 
-    def _axes(self, draw: ImageDraw, left: float, top: float, right: float, bottom: float) -> None:
-        for place, text in self.y.ticks().items():
-            y = bottom + place * (top - bottom)
-            draw.line((left, y, right, y), fill=RULE, width=FINER)
-            self._write(draw, left - 10 * FINER, y, text, MUTED, "rm")
-        self._write(draw, 8 * FINER, top - 50 * FINER, self.y.name, INK, "lm")
+    def _draw_axes(self, draw: ImageDraw, left: float, top: float, right: float, bottom: float) -> None:
+        for position, text in self.y.ticks().items():
+            y = bottom + position * (top - bottom)
+            draw.line((left, y, right, y), fill=RULE_COLOUR, width=_OVERSAMPLING)
+            _write(draw, (left - 10 * _OVERSAMPLING, y), text, MUTED_COLOUR, "rm")
+        _write(draw, (8 * _OVERSAMPLING, top - 50 * _OVERSAMPLING), self.y.name, TEXT_COLOUR, "lm")
+        # ``out`` is the direction away from the frame: down from the lower edge, up from the upper one
         for (name, ticks), edge, out in (((self.x.name, self.x.ticks()), bottom, 1), (self.upper, top, -1)):
-            for place, text in ticks.items():
-                x = left + place * (right - left)
-                draw.line((x, edge, x, edge + 6 * out * FINER), fill=MUTED, width=FINER)
-                self._write(draw, x, edge + 20 * out * FINER, text, MUTED, "mm")
-            self._write(draw, (left + right) / 2, edge + 50 * out * FINER, name, INK, "mm")
+            for position, text in ticks.items():
+                x = left + position * (right - left)
+                draw.line((x, edge, x, edge + 6 * out * _OVERSAMPLING), fill=MUTED_COLOUR, width=_OVERSAMPLING)
+                _write(draw, (x, edge + 20 * out * _OVERSAMPLING), text, MUTED_COLOUR, "mm")
+            _write(draw, ((left + right) / 2, edge + 50 * out * _OVERSAMPLING), name, TEXT_COLOUR, "mm")
 
-    def _curve(self, draw: ImageDraw, curve: Curve) -> None:
+    def _draw_curve(self, draw: ImageDraw, curve: Curve) -> None:
         points = [self._at(float(x), float(y)) for x, y in zip(self.xs, curve.ys, strict=True)]
-        draw.line(points, fill=curve.colour, width=4 * FINER, joint="curve")
+        draw.line(points, fill=curve.colour, width=4 * _OVERSAMPLING, joint="curve")
+        radius = 5 * _OVERSAMPLING
         for x, y in points:
-            draw.ellipse((x - 5 * FINER, y - 5 * FINER, x + 5 * FINER, y + 5 * FINER), fill=curve.colour)
+            draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=curve.colour)
 
-    def _legend(self, draw: ImageDraw, x: float, y: float) -> None:
-        draw.rectangle((x, y, x + 328 * FINER, y + 32 * len(self.curves) * FINER), fill=PAPER)
+    def _draw_legend(self, draw: ImageDraw, x: float, y: float) -> None:
+        height = 32 * len(self.curves) * _OVERSAMPLING
+        draw.rectangle((x, y, x + 328 * _OVERSAMPLING, y + height), fill=PAPER_COLOUR)
         for k, curve in enumerate(self.curves):
-            line = y + (16 + 32 * k) * FINER
-            draw.line((x + 8 * FINER, line, x + 48 * FINER, line), fill=curve.colour, width=4 * FINER)
-            self._write(draw, x + 58 * FINER, line, curve.name, INK, "lm")
+            line = y + (16 + 32 * k) * _OVERSAMPLING
+            ends = (x + 8 * _OVERSAMPLING, line, x + 48 * _OVERSAMPLING, line)
+            draw.line(ends, fill=curve.colour, width=4 * _OVERSAMPLING)
+            _write(draw, (x + 58 * _OVERSAMPLING, line), curve.name, TEXT_COLOUR, "lm")
 
-    def _write(self, draw: ImageDraw, x: float, y: float, text: str, colour: str, anchor: str) -> None:
-        from PIL import ImageFont
 
-        draw.text((x, y), text, fill=colour, font=ImageFont.load_default(TEXT * FINER), anchor=anchor)
+def _write(draw: ImageDraw, at: tuple[float, float], text: str, colour: str, anchor: str) -> None:
+    """Write a line of text; ``anchor`` is which point of it is at ``at``, as Pillow names it."""
+    from PIL import ImageFont
+
+    draw.text(at, text, fill=colour, font=ImageFont.load_default(_LETTER * _OVERSAMPLING), anchor=anchor)

@@ -1,16 +1,16 @@
-"""What a figure is, before it is a file or part of a page."""
+"""A figure before it is a file or a part of a page."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from magiclens.drawing.sheet import Tile
+from magiclens.drawing.tiles import Tile
 
 
 @dataclass(frozen=True)
 class Figure:
-    """Rows of tiles. ``name`` is its file's, without ``.png``; ``caption`` is a sentence on what one sees."""
+    """Rows of tiles. ``name`` is the name of its file without ``.png``; ``caption`` says what the figure shows."""
 
     name: str
     title: str
@@ -19,12 +19,13 @@ class Figure:
 
     @property
     def columns(self) -> int:
-        """Tiles side by side."""
+        """Number of tiles side by side."""
         return max(map(len, self.rows))
 
     @property
     def columns_on_a_phone(self) -> int:
-        """Tiles side by side that stay legible on a narrow screen; three pictures of a row stay together."""
+        """Number of tiles side by side that can still be read on a narrow screen."""
         if any(tile.scale for row in self.rows for tile in row):
             return 1
+        # source, target and photograph stay together, as they are compared with each other
         return self.columns if self.columns <= 3 else 2

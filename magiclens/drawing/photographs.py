@@ -1,4 +1,4 @@
-"""What the renderers saw, at the exposure at which it is compared with the targets."""
+"""Simulated photographs, at the exposure at which they are compared with the targets."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from magiclens.images.score import Score, score
 
 @dataclass(frozen=True)
 class Photograph:
-    """picture: (R, R, C) float32, linear light 0..1, exposed; target: (R, R, C) float32, what it should be."""
+    """A rendered picture (R, R, C) and its target (R, R, C), float32, linear light; the picture is exposed, 0 to 1."""
 
     picture: FloatArray
     target: FloatArray
@@ -22,19 +22,27 @@ class Photograph:
 
     @property
     def caption(self) -> str:
-        """The scores, as figures write them."""
+        """PSNR and SSIM as figures write them."""
         return f"{self.score.psnr_db:.1f} dB, SSIM {self.score.ssim:.2f}"
 
 
 def photograph(picture: FloatArray, view: View) -> Photograph:
-    """A picture (R, R, C) in linear light, exposed and scored as the view's."""
+    """Expose a rendered picture of a view as its score does.
+
+    Args:
+        picture: (R, R, C) linear light, in any unit.
+        view: The view that the picture shows; its target is resized to the picture.
+
+    Returns:
+        The picture after one gain, clipped to 0..1, with its target and its score.
+    """
     target = resize(view.target, picture.shape[:2])
     found = score(picture, target)
     return Photograph(np.clip(picture * np.float32(found.gain), 0, 1), target, found)
 
 
 def photographs(data: RunResult) -> dict[str, list[Photograph]]:
-    """By renderer, one per view."""
+    """The photographs of a run by renderer, one for each view."""
     return {
         renderer: [photograph(picture, view) for picture, view in zip(pictures, data.scene.views, strict=True)]
         for renderer, pictures in data.renders.items()

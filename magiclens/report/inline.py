@@ -9,7 +9,7 @@ from html import escape
 from magiclens.analysis.contact import contact_sheet
 from magiclens.contract.result import RunResult
 from magiclens.drawing.photographs import photographs
-from magiclens.drawing.sheet import sheet
+from magiclens.drawing.tiles import render_rows
 
 WIDEST = 960
 """Pixels."""
@@ -18,7 +18,7 @@ WIDEST = 960
 def contact_html(data: RunResult) -> str:
     """A figure whose picture is within it; names that users wrote are escaped."""
     figure = contact_sheet(data, photographs(data))
-    picture = sheet(figure.rows)
+    picture = render_rows(figure.rows)
     if picture.width > WIDEST:
         picture = picture.resize((WIDEST, picture.height * WIDEST // picture.width))
     content = io.BytesIO()

@@ -16,7 +16,7 @@ from magiclens.analysis.zone_figures import zone_figures
 from magiclens.contract.result import RunResult
 from magiclens.drawing.figure import Figure
 from magiclens.drawing.photographs import photographs
-from magiclens.drawing.sheet import sheet
+from magiclens.drawing.tiles import render_rows
 from magiclens.report.page import page
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def write_report(data: RunResult, folder: Path) -> None:
     (folder / "figures").mkdir(exist_ok=True)
     for figure in figures:
         path = folder / "figures" / f"{figure.name}.png"
-        sheet(figure.rows).save(path, "PNG", compress_level=4, pnginfo=_words(figure))
+        render_rows(figure.rows).save(path, "PNG", compress_level=4, pnginfo=_words(figure))
     (folder / "report.html").write_text(page(data, folder, figures, seen), encoding="utf-8")
 
 

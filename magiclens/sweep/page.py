@@ -12,7 +12,7 @@ from urllib.parse import quote
 import numpy as np
 
 from magiclens.drawing.scales import Pixels
-from magiclens.drawing.sheet import Tile, display, grid, sheet
+from magiclens.drawing.tiles import Tile, render_rows, to_pixels, wrap_tiles
 from magiclens.pages.base import embedded
 from magiclens.report.tables import measure
 from magiclens.sweep.table import scores, shown_by
@@ -40,7 +40,8 @@ def contact_sheet(sweep: Sweep, shown: Sequence[Pixels]) -> Image:
     both = zip(shown, sweep.results, strict=True)
     tiles = [Tile(picture, result.combination.label, caption(result)) for picture, result in both]
     columns = _columns(sweep)
-    return sheet([tiles[k : k + columns] for k in range(0, len(tiles), columns)] if columns else grid(tiles))
+    rows = [tiles[k : k + columns] for k in range(0, len(tiles), columns)] if columns else wrap_tiles(tiles)
+    return render_rows(rows)
 
 
 def page(sweep: Sweep, shown: Sequence[Pixels]) -> str:
@@ -112,4 +113,4 @@ def _exposed(render: Path, target: Path, side: int) -> Pixels:
     from magiclens.images.score import score
 
     seen = read_image(render)
-    return display(np.clip(seen * np.float32(score(seen, read_image(target)).gain), 0, 1), side)
+    return to_pixels(np.clip(seen * np.float32(score(seen, read_image(target)).gain), 0, 1), side)
