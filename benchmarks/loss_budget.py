@@ -21,10 +21,10 @@ from magiclens.contract.artifacts import Assignment, FloatArray, HeightField, Sc
 from magiclens.geometry.facets import patches_seen
 from magiclens.geometry.solid import solid_from_heights
 from magiclens.images import score
-from magiclens.integration.refine import foreseen
+from magiclens.integration.refinement import foreseen
 from magiclens.kernels.sampling import place
 from magiclens.plan.compile import load_plan
-from magiclens.rendering.trace import picture, trace
+from magiclens.rendering.tracer import picture, trace
 
 RESOLUTION, SAMPLES = 512, 4
 

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from magiclens.matching.exhaustive import Exhaustive
     from magiclens.matching.polished import polished
     from magiclens.plan.compile import Plan, load_plan
-    from magiclens.rendering.traced import transports
+    from magiclens.rendering.transports import transports
     from magiclens.running.pipeline import Run, run, run_plan, run_spec
     from magiclens.scenarios.base import Scenario, Shot
     from magiclens.scenarios.pictures import Source, Target
@@ -62,7 +62,7 @@ _HOMES = {
     "matching.exhaustive": "Exhaustive",
     "matching.polished": "polished",
     "plan.compile": "Plan load_plan",
-    "rendering.traced": "transports",
+    "rendering.transports": "transports",
     "running.pipeline": "Run run run_plan run_spec",
     "scenarios.base": "Scenario Shot",
     "scenarios.pictures": "Source Target",

@@ -30,7 +30,7 @@ from magiclens.exporting.mesh_files import Stl
 from magiclens.images import resize
 from magiclens.integration.poisson import Poisson
 from magiclens.matching.exhaustive import Exhaustive
-from magiclens.meshing.finish import Pymeshlab
+from magiclens.meshing.pymeshlab import Pymeshlab
 from magiclens.rendering.tracer import Tracer
 from magiclens.scenarios.single import Single
 from magiclens.testing import (

@@ -23,7 +23,7 @@ def registry() -> Registry:
 @pytest.fixture
 def toy_geometry(monkeypatch: pytest.MonkeyPatch) -> None:
     """The steps between stages, without optics: a prism for a solid, traced errors that fall from round to round."""
-    solid, traced = ModuleType("magiclens.geometry.solid"), ModuleType("magiclens.rendering.traced")
+    solid, traced = ModuleType("magiclens.geometry.solid"), ModuleType("magiclens.rendering.facet_errors")
     falling = itertools.count(100, -1)
     vars(solid)["solid_from_heights"] = prism
     vars(solid)["heights_of"] = lambda solid, lens: None

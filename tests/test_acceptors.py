@@ -28,7 +28,7 @@ MORE = {"question-answer-universal": ("lens.size=50mm", "lens.facets=16")}
 @pytest.fixture(autouse=True)
 def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
     """Small lenses need no large pictures."""
-    monkeypatch.setattr("magiclens.rendering.traced.LEAST_RESOLUTION", 64)
+    monkeypatch.setattr("magiclens.rendering.transports.LEAST_RESOLUTION", 64)
     monkeypatch.setattr("magiclens.analysis.zone.RESOLUTION", 64)
 
 

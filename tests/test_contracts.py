@@ -22,12 +22,12 @@ from magiclens.exporting.sheet import Sheet
 from magiclens.exporting.slices import Slices
 from magiclens.exporting.three_mf import ThreeMf
 from magiclens.images.art import ART
-from magiclens.integration.least_squares import LeastSquares
+from magiclens.integration.least_squares import LeastSquaresIntegrator
 from magiclens.integration.poisson import Poisson
 from magiclens.matching.dart_throwing import DartThrowing
 from magiclens.matching.exhaustive import Exhaustive
 from magiclens.matching.multi_view import MultiView
-from magiclens.meshing.finish import Pymeshlab
+from magiclens.meshing.pymeshlab import Pymeshlab
 from magiclens.milling.gcode import Gcode
 from magiclens.milling.rml import Rml
 from magiclens.rendering.mitsuba import Mitsuba
@@ -78,8 +78,8 @@ class TestPoisson(IntegratorContract):
     aim_mm = 0.3
 
 
-class TestLeastSquares(IntegratorContract):
-    stage = LeastSquares()
+class TestLeastSquaresIntegrator(IntegratorContract):
+    stage = LeastSquaresIntegrator()
 
 
 class TestPymeshlab(FinisherContract):

@@ -10,12 +10,11 @@ from magiclens.contract.artifacts import Assignment, FloatArray, HeightField, Sc
 from magiclens.geometry.facets import edge_models, patches_seen
 from magiclens.geometry.solid import solid_from_heights
 from magiclens.integration.orientation import edge_rises
-from magiclens.integration.two_level import lenslets
+from magiclens.integration.poisson import lenslets
 from magiclens.optics.eyes import FLAT, LANDING, MAP, PLACE, SHEAR, SIGHT, SPAN, local_map, sight, sights
 from magiclens.optics.refraction import facet_normal
 from magiclens.optics.walls import DOWN, LEFT, RIGHT, UP
-from magiclens.rendering.trace import trace
-from magiclens.rendering.tracer import Tracer
+from magiclens.rendering.tracer import Tracer, trace
 from scenes import (
     ABOVE,
     ASIDE,

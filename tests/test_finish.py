@@ -12,8 +12,8 @@ from pydantic import ValidationError
 
 from magiclens.contract.artifacts import FloatArray, HeightField, IntArray, Lens, Scene, Solid
 from magiclens.contract.errors import StageError
-from magiclens.meshing.finish import Pymeshlab
 from magiclens.meshing.intersections import _is_star, cannot_cut_itself, faces_that_cut
+from magiclens.meshing.pymeshlab import Pymeshlab
 from magiclens.meshing.validation import (
     as_exported,
     check_areas,

@@ -15,11 +15,10 @@ from magiclens.contract.errors import StageError
 from magiclens.contract.stages import Integrator
 from magiclens.geometry.facets import EDGE_POINTS, built_drifts, edge_models
 from magiclens.geometry.solid import solid_from_heights
-from magiclens.integration.least_squares import LeastSquares
+from magiclens.integration.least_squares import LeastSquaresIntegrator
+from magiclens.integration.levels import levels_of_least_lost_light, levels_of_least_steps
 from magiclens.integration.orientation import edge_rises
-from magiclens.integration.placement import place_for_light
-from magiclens.integration.poisson import Poisson
-from magiclens.integration.two_level import lenslets, place
+from magiclens.integration.poisson import Poisson, lenslets
 from magiclens.optics.walls import DOWN, LEFT, RIGHT, UP
 from scenes import ABOVE, ASIDE, IOR, THICK, Eye, assigned, blank_scene, small_lens
 
@@ -31,7 +30,7 @@ SLOPES = {
 surfaces = pytest.mark.parametrize("name", list(SLOPES))
 integrators = pytest.mark.parametrize(
     "integrator",
-    [Poisson(placement="steps", screening=1e-9), LeastSquares(screening=1e-12)],
+    [Poisson(placement="steps", screening=1e-9), LeastSquaresIntegrator(screening=1e-12)],
     ids=["poisson", "least-squares"],
 )
 
@@ -146,7 +145,7 @@ def test_pieces_of_one_surface_are_placed_so_that_they_meet() -> None:
     whole = np.cumsum(np.cumsum(rng.normal(size=(n * (k - 1) + 1,) * 2), axis=0), axis=1) / 20
     pieces = np.array([[whole[i * 4 : i * 4 + k, j * 4 : j * 4 + k] for j in range(n)] for i in range(n)])
     means = pieces.mean(axis=(2, 3))
-    levels, _ = place(pieces - means[:, :, None, None], 1e-12, 100.0)
+    levels, _ = levels_of_least_steps(pieces - means[:, :, None, None], 1e-12, 100.0)
     np.testing.assert_allclose(levels - levels.mean(), means - means.mean(), atol=1e-6)
 
 
@@ -235,7 +234,7 @@ def test_a_wall_at_one_end_of_an_edge_is_seen_by_placing(end: int) -> None:
     drifts = built_drifts(scene, shapes)
     assert (drifts[:, 0, RIGHT] > 0).all()
     assert (drifts[:, 1, LEFT] < 1e-6).all()
-    h = shapes + place_for_light(scene, shapes, np.zeros((2, 2)), 1e-7)[..., None, None]
+    h = shapes + levels_of_least_lost_light(scene, shapes, np.zeros((2, 2)), 1e-7)[..., None, None]
     assert (h[:, 0, :, -1] - h[:, 1, :, 0]).max() == pytest.approx(0, abs=1e-3)
 
 
@@ -359,9 +358,8 @@ def test_no_step_exceeds_the_limit_and_only_borders_change() -> None:
 def test_least_squares_trades_slopes_for_continuity() -> None:
     lens = small_lens(6, 2.0, microfacets=4)
     scene, assignment = blank_scene(lens), wild(6, 0, 2.0)
-    steps = [
-        LeastSquares(continuity=c).integrate(scene, assignment).metrics["step_mean_mm"] for c in (0.01, 1.0, 100.0)
-    ]
+    built = [LeastSquaresIntegrator(continuity=c).integrate(scene, assignment) for c in (0.01, 1.0, 100.0)]
+    steps = [heights.metrics["step_mean_mm"] for heights in built]
     assert steps[0] > 2 * steps[1] > 20 * steps[2]
 
 

@@ -25,7 +25,7 @@ from magiclens.matching.exhaustive import Exhaustive
 from magiclens.matching.multi_view import MultiView
 from magiclens.matching.polish import blur_levels
 from magiclens.optics.refraction import facet_normal
-from magiclens.rendering.traced import facet_errors
+from magiclens.rendering.facet_errors import facet_errors
 from magiclens.rendering.tracer import Tracer
 from scenes import (
     ABOVE,

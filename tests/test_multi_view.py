@@ -21,7 +21,7 @@ from magiclens.matching.exhaustive import Exhaustive
 from magiclens.matching.multi_view import MultiView
 from magiclens.matching.several_eyes import match
 from magiclens.optics.refraction import facet_normal, refract
-from magiclens.rendering.traced import facet_errors
+from magiclens.rendering.facet_errors import facet_errors
 from scenes import ABOVE, THICK, assigned, blotches, choices, grey_view, letter_f, small_lens, surface
 
 LEFT_EYE, RIGHT_EYE = (-104.0, 0.0, THICK + 386.0), (104.0, 20.0, THICK + 386.0)

@@ -16,15 +16,15 @@ from magiclens.contract.artifacts import Assignment, FloatArray, HeightField, Sc
 from magiclens.contract.stages import Progress, silent
 from magiclens.geometry.solid import solid_from_heights
 from magiclens.images import resize, to_display
-from magiclens.integration.freeform import View as Seen
-from magiclens.integration.freeform import _along, _back, _field, _look, _pull, _slopes, _spectrum
+from magiclens.integration.laplacian import cosines
 from magiclens.integration.measures import measures, slopes_deg
 from magiclens.integration.poisson import Poisson
-from magiclens.integration.refine import LOOKS, _samples, _sights, _slab, foreseen
-from magiclens.integration.two_level import cosines
+from magiclens.integration.refinement import LOOKS, _samples, _sights, _slab, foreseen
+from magiclens.integration.refinement_kernels import View as Seen
+from magiclens.integration.refinement_kernels import _along, _back, _field, _look, _pull, _slopes, _spectrum
 from magiclens.matching.exhaustive import Exhaustive
 from magiclens.plan.compile import load_plan
-from magiclens.rendering.trace import picture, trace
+from magiclens.rendering.tracer import picture, trace
 from magiclens.running.pipeline import run_plan
 from magiclens.testing import one_view, two_eyes, two_turns
 from magiclens.testing.scenes import an_assignment

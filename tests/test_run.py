@@ -189,7 +189,7 @@ def test_rematching_repeats_choice_and_integration(run: Runner) -> None:
 
 def test_rematching_stops_when_it_no_longer_helps(run: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
     errors = iter([0.5, 0.4, 0.6, 0.3])
-    traced = sys.modules["magiclens.rendering.traced"]
+    traced = sys.modules["magiclens.rendering.facet_errors"]
     monkeypatch.setattr(traced, "facet_errors", lambda scene, heights: np.full((4, 4), next(errors)))
     plain, done = run("one").data, run("two", "pipeline.rematch=5").data
     assert np.allclose(done.candidates.offsets_mm, plain.candidates.offsets_mm + 1)

@@ -13,8 +13,7 @@ from magiclens.geometry.facets import edge_models
 from magiclens.geometry.solid import solid_from_heights
 from magiclens.integration.poisson import Poisson
 from magiclens.optics.walls import DOWN, RIGHT
-from magiclens.rendering.trace import trace, transport
-from magiclens.rendering.tracer import Tracer
+from magiclens.rendering.tracer import Tracer, trace, transport
 from scenes import (
     ABOVE,
     ASIDE,

@@ -51,7 +51,7 @@ pipeline:
 @pytest.fixture(autouse=True)
 def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
     """Small lenses need no large pictures."""
-    monkeypatch.setattr("magiclens.rendering.traced.LEAST_RESOLUTION", 192)
+    monkeypatch.setattr("magiclens.rendering.transports.LEAST_RESOLUTION", 192)
 
 
 @pytest.fixture

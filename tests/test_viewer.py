@@ -27,7 +27,7 @@ from magiclens.contract.artifacts import FloatArray, Lens, View
 from magiclens.images import read_image, to_display, to_linear
 from magiclens.images.files import write_png
 from magiclens.images.score import psnr_db
-from magiclens.rendering.trace import picture, trace
+from magiclens.rendering.tracer import picture, trace
 from magiclens.running.open_run import OpenRun, open_run
 from magiclens.running.pipeline import run_spec
 from magiclens.web.viewer import MOST_BYTES, fragment, page

@@ -60,7 +60,7 @@ def measure(scene: Scene, solid: Solid, plain_scene: Scene, plain: Solid) -> Zon
 
 def seen_from(scene: Scene, solid: Solid, move_mm: FloatArray) -> FloatArray:
     """(R, R, C) float32, linear light, world frame: what the first view's eye sees once it has moved by (3,) mm."""
-    from magiclens.rendering.trace import picture, trace
+    from magiclens.rendering.tracer import picture, trace
 
     view = replace(scene.views[0], eye_mm=scene.views[0].eye_mm + move_mm)
     hits = trace(solid, scene.lens, view, RESOLUTION, SAMPLES)

@@ -10,6 +10,9 @@ from pydantic import Field
 from magiclens.contract.artifacts import Assignment, Candidates, Scene
 from magiclens.contract.stages import Annealer, Progress, silent
 
+_COLD_SWEEPS = 10
+"""Number of sweeps at temperature 0 after the cooling, which bring every facet to its nearest minimum."""
+
 
 class HeatBath(Annealer):
     """Heat-bath annealing of candidates and heights together; both terms of its energy are squared display values."""
@@ -25,7 +28,49 @@ class HeatBath(Annealer):
     def anneal(
         self, scene: Scene, candidates: Candidates, rng: np.random.Generator, progress: Progress = silent
     ) -> Assignment:
-        """Never worse than every facet's best candidate. Energies in ``metrics`` are per facet."""
-        from magiclens.annealing.cooling import anneal
+        """Choose by heat-bath sweeps under a quadratically falling temperature; never worse than every facet's best.
 
-        return anneal(self, scene, candidates, rng, progress)
+        Args:
+            scene: the lens and its views.
+            candidates: what to choose from; K per facet.
+            rng: draws one number in [0, 1) per facet and sweep.
+            progress: is told the share of the sweeps that are done.
+
+        Returns:
+            One candidate per facet. The energies in ``metrics`` are per facet, in mean squared display values.
+        """
+        from magiclens.geometry.facets import cost_of_lost_light, edge_models
+        from magiclens.optics.walls import sweep, total_energy
+
+        n = scene.lens.facets
+        profiles, drifts = edge_models(scene, candidates.offsets_mm, candidates.maps)
+        errors = candidates.errors.astype(np.float64)
+        loss = self.loss_weight * cost_of_lost_light(scene)
+        terms = (loss, scene.lens.pitch_mm, self.step_weight, self.screening)
+        relief = scene.lens.relief_mm
+
+        # The start, which the result must not be worse than: every facet's best candidate, at its best height.
+        first, first_levels = errors.argmin(axis=-1), np.zeros((n, n))
+        only_first = np.where(np.arange(errors.shape[-1]) == first[..., None], errors, np.inf)
+        for _ in range(self.sweeps):
+            sweep(first, first_levels, only_first, profiles, drifts, *terms, relief, 0.0, np.zeros((n, n)))
+        before = float(total_energy(first, first_levels, errors, profiles, drifts, *terms).sum())
+
+        choice, levels = first.copy(), first_levels.copy()
+        falling = self.temperature * (1 - np.arange(self.sweeps) / self.sweeps) ** 2
+        temperatures = np.concatenate([falling, np.zeros(_COLD_SWEEPS)])
+        for done, temperature in enumerate(temperatures):
+            sweep(choice, levels, errors, profiles, drifts, *terms, relief, temperature, rng.random((n, n)))
+            progress((done + 1) / len(temperatures))
+        after = float(total_energy(choice, levels, errors, profiles, drifts, *terms).sum())
+        if after > before:
+            choice, levels, after = first, first_levels, before
+        image, lost_light, even = total_energy(choice, levels, errors, profiles, drifts, *terms) / n**2
+        metrics = {
+            "energy_before": before / n**2,
+            "energy_after": after / n**2,
+            "energy_image": float(image),
+            "energy_lost_light": float(lost_light),
+            "energy_even": float(even),
+        }
+        return Assignment.pick(candidates, choice, metrics)

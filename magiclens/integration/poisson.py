@@ -1,15 +1,26 @@
-"""Two-level screened Poisson integration, both levels solved by cosine transforms (4.5)."""
+"""Two-level screened Poisson integration: facets become smooth lenslets, then whole facets find their levels (4.5)."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import ClassVar, Literal
 
+import numpy as np
 from pydantic import Field
 
-from magiclens.contract.artifacts import Assignment, HeightField, Scene
+from magiclens.contract.artifacts import Assignment, FloatArray, HeightField, Scene
 from magiclens.contract.stages import Integrator, Progress, silent
 from magiclens.contract.units import Length
+from magiclens.integration.laplacian import cosines, divergence
+from magiclens.integration.measures import measures
+
+_SETTLING = 3
+"""Rounds after which `light` placement keeps its levels: its energy has kinks, at which it would oscillate."""
+_PASSES = 500
+"""Passes over all walls, at most, that limit the steps."""
+_ENOUGH_MM = 1e-6
+"""Excess of a step over its limit that is not worth another pass, mm."""
 
 
 class Poisson(Integrator):
@@ -36,18 +47,94 @@ class Poisson(Integrator):
 
     def integrate(self, scene: Scene, assignment: Assignment, progress: Progress = silent) -> HeightField:
         """Iterate orientation and integration to convergence."""
-        from magiclens.integration.two_level import integrate
+        from magiclens.integration.iterate import check_relief, iterate
+        from magiclens.integration.levels import levels_of_least_lost_light, levels_of_least_steps, within_relief
 
-        return integrate(self, scene, assignment, progress)
+        n, k = scene.lens.facets, scene.lens.microfacets + 1
+        relief = scene.lens.relief_mm
+        levels: FloatArray = np.zeros((n, n))
+        screening = self.screening
+
+        def solve(rows: FloatArray, columns: FloatArray, _: FloatArray, done: int) -> FloatArray:
+            nonlocal levels, screening
+            shapes = lenslets(rows, columns).reshape(n, n, k, k)
+            check_relief(shapes, relief)
+            if self.placement == "steps" or done < _SETTLING:
+                levels, screening = levels_of_least_steps(shapes, screening, relief)
+            if self.placement == "light" and done < _SETTLING:
+                levels = levels_of_least_lost_light(scene, shapes, levels, self.step_weight)
+            return shapes + within_relief(shapes, levels, relief)[:, :, None, None]
+
+        built = iterate(scene, assignment, solve, self.rounds, self.tolerance, progress)
+        if self.step_limit is None:
+            return built
+        limited = replace(built, heights_mm=limit_steps(built.heights_mm, self.step_limit))
+        return replace(limited, metrics={**built.metrics, **measures(limited)})
 
     def refine(self, scene: Scene, built: HeightField, progress: Progress = silent) -> HeightField:
         """Move the facets' vertices so that they show their tiles better; borders stay where steps are limited."""
-        from magiclens.integration.placement import place_for_light
-        from magiclens.integration.refine import refine
+        from magiclens.integration.levels import levels_of_least_lost_light
+        from magiclens.integration.refinement import refine
 
         if self.refinement == 0:
             return built
         if self.step_limit is not None:
             return refine(scene, built, self.refinement, progress, locked=True)
-        place = partial(place_for_light, scene, even=self.step_weight) if self.placement == "light" else None
-        return refine(scene, built, self.refinement, progress, place)
+        relevel = (
+            partial(levels_of_least_lost_light, scene, step_weight=self.step_weight)
+            if self.placement == "light"
+            else None
+        )
+        return refine(scene, built, self.refinement, progress, relevel)
+
+
+def lenslets(rows: FloatArray, columns: FloatArray) -> FloatArray:
+    """Heights whose rises along edges are nearest, in the least-squares sense, to those asked for.
+
+    The normal equations are a Poisson problem on each facet's grid of vertices with free edges, which the cosine
+    transform makes diagonal.
+
+    Args:
+        rows: (F, k, k - 1) rises from one column to the next, mm.
+        columns: (F, k - 1, k) rises from one row to the next, mm.
+
+    Returns:
+        (F, k, k) float64 heights of zero mean per facet, mm.
+    """
+    matrix, eigenvalues = cosines(rows.shape[1])
+    spectrum = matrix @ divergence(rows, columns) @ matrix.T
+    spectrum /= np.where(eigenvalues > 0, eigenvalues, np.inf)  # the mean has no slope: it is zero
+    return matrix.T @ spectrum @ matrix
+
+
+def limit_steps(heights: FloatArray, limit: float) -> FloatArray:
+    """Heights of which no step across a wall exceeds a limit, for tools that cannot cut a cliff.
+
+    What a step has in excess is taken from the border vertices on both sides alike, so that only the outermost
+    micro-facets next to too high a step change their slope. Corner vertices have two steps each: passes alternate.
+
+    Args:
+        heights: (N, N, k, k) mm.
+        limit: largest step that is left, mm.
+
+    Returns:
+        (N, N, k, k) heights, mm.
+    """
+    h = heights.copy()
+    for _ in range(_PASSES):
+        excess = max(
+            _share(h[:, :-1, :, -1], h[:, 1:, :, 0], limit - _ENOUGH_MM),
+            _share(h[:-1, :, -1, :], h[1:, :, 0, :], limit - _ENOUGH_MM),
+        )
+        if excess <= _ENOUGH_MM:
+            break
+    return h
+
+
+def _share(one: FloatArray, other: FloatArray, limit: float) -> float:
+    """Take the excess of the steps between facing border vertices from both, in place; returns the largest, mm."""
+    step = one - other
+    excess = np.sign(step) * np.maximum(np.abs(step) - limit, 0.0)
+    one -= 0.5 * excess
+    other += 0.5 * excess
+    return float(np.abs(excess).max(initial=0.0))

@@ -30,21 +30,22 @@ def mlens_stages() -> Sequence[type[Stage]]:
     from magiclens.exporting.sheet import Sheet
     from magiclens.exporting.slices import Slices
     from magiclens.exporting.three_mf import ThreeMf
-    from magiclens.integration.least_squares import LeastSquares
+    from magiclens.integration.least_squares import LeastSquaresIntegrator
     from magiclens.integration.poisson import Poisson
     from magiclens.matching.dart_throwing import DartThrowing
     from magiclens.matching.exhaustive import Exhaustive
     from magiclens.matching.multi_view import MultiView
-    from magiclens.meshing.finish import Pymeshlab
+    from magiclens.meshing.pymeshlab import Pymeshlab
     from magiclens.milling.gcode import Gcode
     from magiclens.milling.rml import Rml
     from magiclens.rendering.mitsuba import Mitsuba
     from magiclens.rendering.tracer import Tracer
 
     matching: list[type[Stage]] = [Exhaustive, MultiView, DartThrowing]
-    design: list[type[Stage]] = [HeatBath, Metropolis, Poisson, LeastSquares, Pymeshlab, encoding.LeastSquares]
+    design: list[type[Stage]] = [HeatBath, Metropolis, Poisson, LeastSquaresIntegrator, Pymeshlab]
+    painting: list[type[Stage]] = [encoding.LeastSquares]
     fabrication: list[type[Stage]] = [Stl, Ply, Obj, ThreeMf, Glb, HeightMap, Slices, Gcode, Rml, Sheet, Monitor]
-    return [*matching, *design, *fabrication, Tracer, Mitsuba]
+    return [*matching, *design, *painting, *fabrication, Tracer, Mitsuba]
 
 
 @hookimpl

@@ -1,4 +1,4 @@
-"""The built-in renderer."""
+"""The built-in renderer: rays through the top's regular grid, one path per sample."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from magiclens.contract.artifacts import FloatArray, Scene, Solid
+from magiclens.contract.artifacts import FloatArray, Lens, Scene, Solid, View
 from magiclens.contract.stages import Progress, Renderer, silent
 
 
@@ -21,15 +21,68 @@ class Tracer(Renderer):
 
     def render(self, scene: Scene, solid: Solid, progress: Progress = silent) -> list[FloatArray]:
         """See Renderer. Raises InputError if the solid is no longer a height field."""
-        from magiclens.rendering.trace import picture, trace
-
-        out = []
-        made: dict[tuple[float, ...], FloatArray] = {}
+        pictures = []
+        traced: dict[tuple[float, ...], FloatArray] = {}
         for done, view in enumerate(scene.views):
             eye = tuple(view.eye_in_lens_frame_mm.tolist())
-            if eye not in made:  # frames of an animation share one
-                made[eye] = trace(solid, scene.lens, view, self.resolution, self.samples)
-            seen = picture(made[eye], view.in_lens_frame().source, scene.lens.source_size_mm)
-            out.append(np.ascontiguousarray(np.rot90(seen, view.quarter_turns)))
+            if eye not in traced:  # frames of an animation share one
+                traced[eye] = trace(solid, scene.lens, view, self.resolution, self.samples)
+            seen = picture(traced[eye], view.in_lens_frame().source, scene.lens.source_size_mm)
+            pictures.append(np.ascontiguousarray(np.rot90(seen, view.quarter_turns)))
             progress((done + 1) / len(scene.views))
-        return out
+        return pictures
+
+
+def trace(
+    solid: Solid, lens: Lens, view: View, resolution: int, samples: int, rows: tuple[int, int] | None = None
+) -> FloatArray:
+    """What every sample of a picture shows to the eye of a view, and how strongly.
+
+    The picture is the lens's square on the reference plane as the eye sees it. Samples lie on a turned grid, no two of
+    a pixel in one row or column, so that a facet's narrow upright and level strips are seen in proportion even where
+    whole pixels fit a facet.
+
+    Args:
+        solid: with the top's regular grid.
+        lens: the lens that the solid was made for.
+        view: its eye is used; the source and the target are not.
+        resolution: R, pixels along the picture's side.
+        samples: S, samples along a pixel's side.
+        rows: the first of the picture's rows that are wanted, and the one after the last; all by default.
+
+    Returns:
+        (R, R, S * S, 3) float32, lens frame: source point x, y (mm, +y up) and transmission, which is 0 where light is
+        lost.
+
+    Raises:
+        InputError: a finisher has removed the grid.
+    """
+    from magiclens.rendering.grid import grid_of
+    from magiclens.rendering.tracer_kernels import trace_rows
+
+    grid = grid_of(solid, lens)
+    eye = view.eye_in_lens_frame_mm
+    hits: FloatArray = trace_rows(
+        grid.us, grid.vs, grid.ws, grid.points, grid.eye, grid.plane, grid.vertical, float(grid.points[..., 2].max()),
+        grid.floor, np.ascontiguousarray(eye),
+        lens.size_mm, lens.thickness_mm, lens.gap_mm, lens.ior, resolution, samples, *(rows or (0, resolution)),
+    )
+    return hits
+
+
+def picture(hits: FloatArray, source: FloatArray, source_size_mm: float) -> FloatArray:
+    """The traced view of a source, by bilinear look-up.
+
+    Args:
+        hits: (R, R, S * S, 3), as of ``trace``.
+        source: (H, W, C) linear light, in the lens frame.
+        source_size_mm: side of the square that the source covers.
+
+    Returns:
+        (R, R, C) float32, linear light, in the lens frame.
+    """
+    from magiclens.rendering.tracer_kernels import look_up
+
+    per_mm = source.shape[1] / source_size_mm
+    seen: FloatArray = look_up(hits, np.ascontiguousarray(source, np.float32), per_mm)
+    return seen

@@ -71,10 +71,10 @@ class OpenRun:
 
         It is read from the run folder, or traced when it is first asked for. Raises InputError like ``view``.
         """
-        from magiclens.rendering.traced import alike, transports
+        from magiclens.rendering.transports import traced_view, transports
 
         view = self.view(name)
-        first = alike(self.scene, view)
+        first = traced_view(self.scene, view)
         if first.name not in self._transports:
             kept = load_transport(first, self.folder)
             self._transports[first.name] = kept or transports(replace(self.scene, views=(first,)), self.solid)[0]

@@ -278,7 +278,7 @@ def _rematched(
     plan: Plan, scene: Scene, best: tuple[Candidates, Assignment, HeightField], rng: Generators, worker: _Worker
 ) -> tuple[Candidates, Assignment, HeightField]:
     """Rounds of rematching, annealing and integration until the traced error stops falling (4.6, last paragraph)."""
-    from magiclens.rendering.traced import facet_errors
+    from magiclens.rendering.facet_errors import facet_errors
 
     check = partial(check_candidates, plan.lens)
     errors = worker.part("tracing", partial(facet_errors, scene, best[2]))
@@ -297,7 +297,7 @@ def _matrices(plan: Plan, given: Scene, solid: Solid, worker: _Worker) -> list[T
     """What an encoder needs to know of a solid; nothing if there is no encoder."""
     if plan.encoder is None:
         return []
-    from magiclens.rendering.traced import transports
+    from magiclens.rendering.transports import transports
 
     return worker.part("tracing", partial(transports, given, solid))
 
@@ -396,10 +396,10 @@ def _write_sources(scene: Scene, folder: Path, kept: str = "sources") -> None:
 
 def _save_transports(scene: Scene, matrices: list[Transport], folder: Path) -> None:
     """Keep those of the views that the others are like."""
-    from magiclens.rendering.traced import alike
+    from magiclens.rendering.transports import traced_view
 
     for view, matrix in zip(scene.views, matrices, strict=True):
-        if alike(scene, view) is view:
+        if traced_view(scene, view) is view:
             save_transport(matrix, view, folder)
 
 

@@ -9,8 +9,7 @@ import numpy as np
 
 from magiclens.contract.artifacts import FloatArray, IntArray, Scene, Solid
 from magiclens.milling.border import outer, top_of
-from magiclens.rendering.trace import picture, trace
-from magiclens.rendering.tracer import Tracer
+from magiclens.rendering.tracer import Tracer, picture, trace
 
 Surface = Callable[[FloatArray, FloatArray], Sequence[FloatArray]]
 """From x (columns,) ascending and y (rows,) descending, lens frame, to heights (rows, columns) there, a raster for each

@@ -55,7 +55,7 @@ class EncoderContract(StageContract):
 
 
 def _transports(scene: Scene) -> list[Transport]:
-    from magiclens.rendering.trace import transport
+    from magiclens.rendering.transports import transport
 
     solid = bumpy_solid(scene)
     return [transport(solid, scene.lens, view, SEEN_PX, SAMPLES) for view in scene.views]

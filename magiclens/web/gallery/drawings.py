@@ -222,7 +222,7 @@ def _one_facet() -> tuple[Scene, tuple[HeightField, HeightField]]:
 def _seen_by(scene: Scene, shape: HeightField) -> tuple[BoolArray, FloatArray]:
     """Which pixels of a facet's picture are dark, and where on the source its micro-facets look, (m, m, 2) mm."""
     from magiclens.geometry.solid import solid_from_heights
-    from magiclens.rendering.trace import picture, trace
+    from magiclens.rendering.tracer import picture, trace
 
     solid, (view,) = solid_from_heights(shape), scene.views
     seen = picture(trace(solid, scene.lens, view, 48, 3), view.source, scene.lens.source_size_mm)

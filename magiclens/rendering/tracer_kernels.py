@@ -12,105 +12,12 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from magiclens.contract.artifacts import FloatArray, Lens, Solid, Transport, View
 from magiclens.kernels.sampling import place
 from magiclens.optics.refraction import refract, transmittance
-from magiclens.rendering.grid import grid_of
 
 MAX_EVENTS = 8
 """Refractions and reflections after which a path counts as lost."""
 _SPLIT = 1e-12
-
-
-def trace(
-    solid: Solid, lens: Lens, view: View, resolution: int, samples: int, rows: tuple[int, int] | None = None
-) -> FloatArray:
-    """(R, R, samples^2, 3) float32, lens frame: source point x, y (mm, +y up) and transmission of every sample.
-
-    rows: the first of those that are wanted, and the one after the last; all by default.
-
-    The picture is the lens's square on the reference plane as ``view``'s eye sees it. Samples lie on a turned grid, no
-    two of a pixel in one row or column, so that a facet's narrow upright and level strips are seen in proportion even
-    where whole pixels fit a facet. Transmission is 0 where light is lost.
-    """
-    grid = grid_of(solid, lens)
-    eye = view.eye_in_lens_frame_mm
-    hits: FloatArray = _trace(
-        grid.us, grid.vs, grid.ws, grid.points, grid.eye, grid.plane, grid.vertical, float(grid.points[..., 2].max()),
-        grid.floor, np.ascontiguousarray(eye),
-        lens.size_mm, lens.thickness_mm, lens.gap_mm, lens.ior, resolution, samples, *(rows or (0, resolution)),
-    )
-    return hits
-
-
-def picture(hits: FloatArray, source: FloatArray, source_size_mm: float) -> FloatArray:
-    """(R, R, C) float32, linear light: the traced view of a source (H, W, C) in the same frame, bilinear look-up."""
-    per_mm = source.shape[1] / source_size_mm
-    seen: FloatArray = _picture(hits, np.ascontiguousarray(source, np.float32), per_mm)
-    return seen
-
-
-def transport(solid: Solid, lens: Lens, view: View, resolution: int, samples: int) -> Transport:
-    """The sparse matrix from the view's source (world frame, its own raster) to the picture (world frame)."""
-    from scipy.sparse import csr_array
-
-    hits = trace(solid, lens, view, resolution, samples)
-    (rows, columns), pixels = view.source.shape[:2], resolution * resolution
-    raster = (hits, rows, columns, columns / lens.source_size_mm)
-    pointers = np.zeros(pixels + 1, np.int32)
-    nothing = np.zeros(0, np.int32), np.zeros(0, np.float32)
-    _gather(*raster, pointers, *nothing)
-    np.cumsum(pointers, out=pointers)
-    index, share = np.zeros(pointers[-1], np.int32), np.zeros(pointers[-1], np.float32)
-    _gather(*raster, pointers, index, share)
-    matrix = csr_array((share, index, pointers), shape=(pixels, rows * columns))
-    return Transport(matrix, (resolution, resolution), (rows, columns)).turned(view.quarter_turns)
-
-
-@njit(cache=True, parallel=True)
-def _gather(hits, rows, columns, per_mm, pointers, index, share):
-    """Which source pixels each pixel of the picture draws from, and how much; hits: (R, R, S, 3), lens frame.
-
-    A first call, without room for entries, leaves each picture pixel's number of them in ``pointers[1:]``; with these
-    added up, a second call fills ``index`` and ``share``.
-    """
-    height, width, samples, _ = hits.shape
-    for i in prange(height):
-        found, weights = np.zeros(4 * samples, np.int32), np.zeros(4 * samples)
-        for j in range(width):
-            count = 0
-            for k in range(samples):
-                weight = hits[i, j, k, 2] / samples
-                x, y = hits[i, j, k, 0] * per_mm, -hits[i, j, k, 1] * per_mm
-                if weight == 0.0 or abs(x) > 0.5 * columns or abs(y) > 0.5 * rows:
-                    continue
-                x = min(max(x + 0.5 * columns - 0.5, 0.0), columns - 1.001)
-                y = min(max(y + 0.5 * rows - 0.5, 0.0), rows - 1.001)
-                ix, iy = int(x), int(y)
-                fx, fy = x - ix, y - iy
-                for corner in range(4):
-                    right, below = corner & 1, corner >> 1
-                    part = weight * (fx if right else 1.0 - fx) * (fy if below else 1.0 - fy)
-                    if part > 0.0:
-                        count = _add(found, weights, count, (iy + below) * columns + ix + right, part)
-            pixel = i * width + j
-            if len(index) == 0:
-                pointers[pixel + 1] = count
-            else:
-                first = pointers[pixel]
-                for n in range(count):
-                    index[first + n], share[first + n] = found[n], weights[n]
-
-
-@njit(cache=True)
-def _add(found, weights, count, pixel, part):
-    """Add to a pixel's weight in a list of ``count`` different pixels; returns how many there are then."""
-    for n in range(count - 1, -1, -1):
-        if found[n] == pixel:
-            weights[n] += part
-            return count
-    found[count], weights[count] = pixel, part
-    return count + 1
 
 
 @njit(cache=True)
@@ -284,7 +191,7 @@ def _follow(us, vs, ws, points, cut_eye, plane, vertical, top, floor, eye, qx, q
 
 
 @njit(cache=True, parallel=True)
-def _trace(
+def trace_rows(
     us, vs, ws, points, cut_eye, plane, vertical, top, floor, eye, size, depth, gap, ior,
     resolution, samples, first, end,
 ):  # fmt: skip
@@ -306,7 +213,7 @@ def _trace(
 
 
 @njit(cache=True, parallel=True)
-def _picture(hits, source, per_mm):
+def look_up(hits, source, per_mm):
     rows, columns, channels = source.shape
     height, width, samples, _ = hits.shape
     out = np.zeros((height, width, channels), np.float32)

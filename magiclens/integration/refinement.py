@@ -17,9 +17,9 @@ from scipy.ndimage import gaussian_filter
 
 from magiclens.contract.artifacts import BoolArray, FloatArray, HeightField, Lens, Scene
 from magiclens.images import resize, to_display
-from magiclens.integration.freeform import Metric, Samples, Sights, Slab, refine_facets
+from magiclens.integration.laplacian import cosines
 from magiclens.integration.measures import measures
-from magiclens.integration.two_level import cosines
+from magiclens.integration.refinement_kernels import Metric, Samples, Sights, Slab, refine_facets
 
 BLURS = (0.08, 0.03, 0.0)
 """Blurs of the sources, one after the other, of a facet's width: rays find their way down a blurred edge from afar."""
