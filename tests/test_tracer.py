@@ -13,7 +13,8 @@ from magiclens.geometry.facets import edge_models
 from magiclens.geometry.solid import solid_from_heights
 from magiclens.integration.poisson import Poisson
 from magiclens.optics.walls import DOWN, RIGHT
-from magiclens.rendering.tracer import Tracer, trace, transport
+from magiclens.rendering.tracer import Tracer, trace
+from magiclens.rendering.transports import transport
 from scenes import (
     ABOVE,
     ASIDE,
