@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from magiclens.contract.hookspecs import CONTRACT
 from test_registry import install
 
 EXPORTER = """
@@ -125,7 +126,7 @@ def test_the_listing_names_each_with_its_version_and_the_reason(mlens: Mlens) ->
     for name, reason in {
         **AT_LOAD,
         "raises-no-exception": "Odd: odd",
-        "is-too-new": "it is written for contract 9.0, this magiclens has 1.0: upgrade magiclens",
+        "is-too-new": f"it is written for contract 9.0, this magiclens has {CONTRACT}: upgrade magiclens",
     }.items():
         entry = failures.split(f"({versioned(name)}):\n")[1].split("\n(")[0]
         assert reason in entry

@@ -21,7 +21,7 @@ from browsers import chromium, listen, served
 from magiclens.cli import app
 from magiclens.contract.errors import InputError
 from magiclens.contract.stages import KINDS
-from magiclens.plan.registry import ART, SCENARIO, STAGE, Plugin, Registry
+from magiclens.plan.registry import NAMED_ART, SCENARIO, STAGE, Plugin, Registry
 from magiclens.profiles.machines import machines
 from magiclens.web.gallery.listed import load_gallery
 from toys import SPEC, ToyMatcher, plugin_of
@@ -288,7 +288,7 @@ def test_the_reference_has_everything_that_is_installed(site: Path) -> None:
             assert f">{kind}: {name}</h2>" in text("stages")
             assert all(f"<code>{key}</code>" in text("stages") for key in cls.model_fields)
     assert all(f">scenario: {name}</h2>" in text("spec") for name in registry.types(SCENARIO))
-    assert all(f"<code>{name}</code>" in text("art") for name in registry.types(ART))
+    assert all(f"<code>{name}</code>" in text("art") for name in registry.types(NAMED_ART))
     assert all(f">{name}</h2>" in text("machines") for name in machines())
     for command in ("run", "gallery", "preflight"):
         assert f">mlens {command}</h2>" in text("commands")

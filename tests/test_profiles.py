@@ -16,7 +16,7 @@ from magiclens.contract.errors import InputError
 from magiclens.contract.stages import KINDS
 from magiclens.plan.compile import Plan, load_plan
 from magiclens.plan.describe import describe_plan
-from magiclens.plan.registry import ART, SCENARIO, STAGE, Registry
+from magiclens.plan.registry import NAMED_ART, SCENARIO, STAGE, Registry
 from magiclens.profiles.machines import Machine, Mill, Printer, machines
 from magiclens.profiles.materials import Material, materials
 
@@ -180,7 +180,7 @@ def test_without_a_machine_nothing_changes(load: Loader) -> None:
 def schema() -> dict[str, Any]:
     registry = Registry.load()
     stages = {kind: registry.classes(STAGE, kind) for kind in KINDS}
-    return json_schema(registry.classes(SCENARIO), stages, registry.types(ART))
+    return json_schema(registry.classes(SCENARIO), stages, registry.types(NAMED_ART))
 
 
 @pytest.mark.parametrize(

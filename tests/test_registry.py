@@ -16,10 +16,11 @@ from magiclens.config.schema import json_schema
 from magiclens.contract.errors import InputError, StageError, Terminated
 from magiclens.contract.hookspecs import hookimpl
 from magiclens.contract.stages import KINDS, Matcher
-from magiclens.plan.capture import prints_of
+from magiclens.plan.blame import blaming
+from magiclens.plan.capture import captured_output
 from magiclens.plan.compile import load_plan
 from magiclens.plan.listing import describe_plugins
-from magiclens.plan.registry import ART, SCENARIO, STAGE, Plugin, Registry, blaming
+from magiclens.plan.registry import NAMED_ART, SCENARIO, STAGE, Plugin, Registry
 from magiclens.scenarios.rotating import Rotating
 from toys import TOY_PLUGIN, SpecWriter, ToyExporter, ToyMatcher, plugin_of, registry_of
 
@@ -75,7 +76,7 @@ def test_an_installed_package_contributes_through_its_entry_point(site: Path) ->
     assert found is not None
     assert found[0].__name__ == "Dots"
     assert found[1] == Plugin("good_dots", "good-dots", "2.1")
-    assert "dot" in registry.types(ART)
+    assert "dot" in registry.types(NAMED_ART)
 
 
 def test_built_in_things_come_through_the_same_door() -> None:
@@ -84,7 +85,7 @@ def test_built_in_things_come_through_the_same_door() -> None:
     assert found is not None
     assert (found[1].name, found[1].package) == ("builtin", "magiclens")
     assert registry.failures == []
-    assert {"panda", "bat", "penguin", "whale"} <= set(registry.types(ART))
+    assert {"panda", "bat", "penguin", "whale"} <= set(registry.types(NAMED_ART))
 
 
 @pytest.mark.parametrize(
@@ -195,7 +196,7 @@ def test_a_module_that_is_registered_twice_counts_once() -> None:
     for name in ("a", "b"):
         registry.register(plugin, Plugin(name, "twice", "1"))
     assert [f.plugin.name for f in registry.failures] == ["b"]
-    registry.tell("mlens_stage_done", stage=None, artifact=None, seconds=2.0)
+    registry.notify("mlens_stage_done", stage=None, artifact=None, seconds=2.0)
     assert heard == [2.0]
 
 
@@ -231,7 +232,7 @@ def test_threads_print_under_their_own_names(capfd: pytest.CaptureFixture[str]) 
     meet = threading.Barrier(4)
 
     def work(name: str) -> None:
-        with prints_of(name):
+        with captured_output(name):
             meet.wait()
             for k in range(20):
                 print(f"line {k} of {name}")
@@ -328,7 +329,7 @@ def test_an_observer_that_fails_is_reported_and_the_next_one_is_told() -> None:
     for name, listener in (("a", deaf), ("b", lambda seconds: heard.append(seconds))):
         implementation = hookimpl(listener, specname="mlens_stage_done")
         registry.register(SimpleNamespace(mlens_stage_done=implementation), Plugin(name, name, "1"))
-    complaints = registry.tell("mlens_stage_done", stage=None, artifact=None, seconds=2.0)
+    complaints = registry.notify("mlens_stage_done", stage=None, artifact=None, seconds=2.0)
     assert heard == [2.0]
     assert complaints == ["plugin a (a 1): mlens_stage_done failed: RuntimeError: no ears"]
 

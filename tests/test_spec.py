@@ -18,7 +18,7 @@ from magiclens.config.schema import json_schema
 from magiclens.contract.errors import InputError
 from magiclens.contract.stages import KINDS
 from magiclens.plan.compile import load_plan
-from magiclens.plan.registry import ART, SCENARIO, STAGE, Registry
+from magiclens.plan.registry import NAMED_ART, SCENARIO, STAGE, Registry
 from magiclens.profiles.materials import materials
 from toys import SPEC, SpecWriter
 
@@ -354,7 +354,7 @@ def test_anchors_and_merges_are_plain_yaml(write_spec: SpecWriter) -> None:
 def schema() -> dict[str, Any]:
     registry = Registry.load()
     stages = {kind: registry.classes(STAGE, kind) for kind in KINDS}
-    return json_schema(registry.classes(SCENARIO), stages, registry.types(ART))
+    return json_schema(registry.classes(SCENARIO), stages, registry.types(NAMED_ART))
 
 
 def test_the_schema_is_draft_7_and_all_its_references_lead_somewhere(schema: dict[str, Any]) -> None:

@@ -141,7 +141,7 @@ def _package(name: str) -> Diagnosis:
 
 
 def _plugins(registry: Registry) -> Diagnosis:
-    packages = sorted({str(entry.plugin) for entry in registry.entries.values()})
+    packages = sorted({str(contribution.plugin) for contribution in registry.contributions.values()})
     if registry.failures:
         failed = ", ".join(sorted({str(failure.plugin) for failure in registry.failures}))
         return Diagnosis("plugins", "broken", f"failed: {failed}", False, "see 'mlens plugins'; the others work")

@@ -12,11 +12,11 @@ from magiclens.cli.common import AsJson, print_result, reporting
 def plugins_command(as_json: AsJson = False) -> None:
     """List every stage, scenario and picture that is installed, and plugins that failed to load."""
     with reporting(False):
-        from magiclens.plan.listing import describe_plugins, plugin_facts
+        from magiclens.plan.listing import describe_plugins, plugins_data
         from magiclens.plan.registry import Registry
 
         registry = Registry.load()
-        print_result(lambda: describe_plugins(registry), lambda: plugin_facts(registry), as_json=as_json)
+        print_result(lambda: describe_plugins(registry), lambda: plugins_data(registry), as_json=as_json)
 
 
 def schema_command() -> None:
@@ -24,8 +24,8 @@ def schema_command() -> None:
     with reporting(False):
         from magiclens.config.schema import json_schema
         from magiclens.contract.stages import KINDS
-        from magiclens.plan.registry import ART, SCENARIO, STAGE, Registry
+        from magiclens.plan.registry import NAMED_ART, SCENARIO, STAGE, Registry
 
         registry = Registry.load()
         stages = {kind: registry.classes(STAGE, kind) for kind in KINDS}
-        typer.echo(json.dumps(json_schema(registry.classes(SCENARIO), stages, registry.types(ART)), indent=2))
+        typer.echo(json.dumps(json_schema(registry.classes(SCENARIO), stages, registry.types(NAMED_ART)), indent=2))

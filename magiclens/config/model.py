@@ -20,6 +20,9 @@ DEFAULT_STAGES = {"matcher": "exhaustive", "annealer": "heat-bath", "integrator"
 DEFAULT_ENCODER = "least-squares"
 """The encoder that runs when a spec wants one without naming it."""
 
+LISTED_STAGES = {"exporters": "exporter", "renderers": "renderer"}
+"""The kind of the stages at each key of the pipeline that takes several."""
+
 
 class SpecModel(BaseModel):
     """Base of the models that a spec is made of: unknown keys are errors, values do not change."""

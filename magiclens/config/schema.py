@@ -10,7 +10,7 @@ from pydantic.errors import PydanticInvalidForJsonSchema
 from pydantic.json_schema import GenerateJsonSchema
 
 from magiclens.config.fields import ART_FORMAT
-from magiclens.config.model import DEFAULT_STAGES, Spec
+from magiclens.config.model import DEFAULT_STAGES, LISTED_STAGES, Spec
 from magiclens.contract.units import LengthOrPercent
 from magiclens.profiles.machines import PROCESSES, machines
 
@@ -22,7 +22,6 @@ REF = "#/definitions/"
 ART = "ArtName"
 SINGLE = (*DEFAULT_STAGES, "encoder")
 """Kinds of which a pipeline has one stage; it may have options without a ``type``."""
-LISTS = {"exporters": "exporter", "renderers": "renderer"}
 
 
 class Draft7(GenerateJsonSchema):
@@ -47,7 +46,7 @@ def json_schema(scenarios: Classes, stages: Mapping[str, Classes], art: Iterable
     pipeline = definitions["PipelineSpec"]["properties"]
     for kind in SINGLE:
         _set(pipeline[kind], _any_of(kind, stages[kind]))
-    for key, kind in LISTS.items():
+    for key, kind in LISTED_STAGES.items():
         pipeline[key]["items"] = _one_of(kind, stages[kind])
     whole = {"$schema": DRAFT, **spec, "title": "magic lens spec"}
     return {**_old_words(whole), "definitions": {**_old_words(definitions), ART: {"enum": sorted(art)}}}

@@ -1,6 +1,6 @@
-"""The plugin that contributes everything built in, through the door that every plugin uses.
+"""The plugin that contributes everything built in, through the hooks that every plugin uses.
 
-The modules named here import numba, scipy, pymeshlab and mitsuba only when they work, so listing them is quick.
+Stages import numba, scipy, pymeshlab and mitsuba only when they run, so that listing them here is quick.
 """
 
 from __future__ import annotations

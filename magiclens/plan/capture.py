@@ -1,7 +1,9 @@
-"""Standard output belongs to the command: what plugins print goes to standard error, under their name.
+"""Captures what plugins print, so that standard output holds nothing but what a command prints itself.
 
-Both ways out are closed: Python's ``sys.stdout``, and file descriptor 1, which compiled code and child processes use.
-Text from the latter is kept in a file until the plugin is done.
+Plugins' output goes to standard error, each line with the name of its plugin. There are two ways to print, and both
+are captured: Python's ``sys.stdout``, and file descriptor 1, to which compiled code and child processes write. What
+comes by the descriptor is kept in a file until the plugin is done: a pipe that nobody empties would stop the plugin
+when it is full.
 """
 
 from __future__ import annotations
@@ -19,69 +21,81 @@ from threading import Lock
 from typing import IO, Any
 
 
-class Prints:
-    """What somebody has printed: passed on line by line, each after their name; the first line is remembered."""
+class CapturedOutput:
+    """Output of one plugin, which is passed on to standard error line by line.
 
-    def __init__(self, who: str):
-        self.who = who
-        self.first = ""
-        self._begun = ""
+    Attributes:
+        owner: The name that is put before every line.
+        first_line: The first line that is not blank; empty while there is none.
+    """
+
+    def __init__(self, owner: str):
+        self.owner = owner
+        self.first_line = ""
+        self._unfinished = ""
 
     def add(self, text: str) -> None:
-        """Pass on the lines that are complete."""
-        *lines, self._begun = (self._begun + text).split("\n")
+        """Take in some output, and pass on the lines that are complete."""
+        *lines, self._unfinished = (self._unfinished + text).split("\n")
         for line in filter(str.strip, lines):
-            self.first = self.first or line.strip()
-            sys.stderr.write(f"{self.who}: {line}\n")  # at once, lest threads' lines mix
+            self.first_line = self.first_line or line.strip()
+            # one write per line, so that lines of several threads do not mix
+            sys.stderr.write(f"{self.owner}: {line}\n")
         sys.stderr.flush()
 
     def end(self) -> None:
-        """Pass on the line that is not."""
-        if self._begun:
+        """Pass on the last line, which may have no line break."""
+        if self._unfinished:
             self.add("\n")
 
 
-_speaking: ContextVar[Prints | None] = ContextVar("_speaking", default=None)
-"""Who prints, in this thread."""
+_capturing: ContextVar[CapturedOutput | None] = ContextVar("_capturing", default=None)
+"""Where output of the current thread goes."""
 
 
 @contextmanager
-def prints_of(who: str) -> Iterator[Prints]:
-    """Inside, what is printed is ``who``'s. Threads may be inside at the same time."""
-    prints, outer = Prints(who), _speaking.get()
-    before = _speaking.set(prints)
+def captured_output(owner: str) -> Iterator[CapturedOutput]:
+    """Capture what is printed inside the ``with`` block.
+
+    Several threads may be inside at the same time, and blocks may be nested; output is the innermost owner's.
+
+    Args:
+        owner: The name that is put before every line, such as ``exporter off (mlens-off 0.1.0)``.
+    """
+    captured, outer = CapturedOutput(owner), _capturing.get()
+    before = _capturing.set(captured)
     try:
-        with _diverted(outer, prints):
-            yield prints
+        with _diverted(outer, captured):
+            yield captured
     finally:
-        prints.end()
-        _speaking.reset(before)
+        captured.end()
+        _capturing.reset(before)
 
 
 class _Router(io.TextIOBase):
-    """Stands for ``sys.stdout`` and gives each text to whom it belongs."""
+    """Replaces ``sys.stdout`` and adds each text to the output of the thread that writes it."""
 
     def write(self, text: str) -> int:
-        """Threads that a plugin has started are nobody's: their text goes on unnamed."""
-        prints = _speaking.get()
-        if prints:
-            prints.add(str(text))
+        """Pass on one text; a thread that a plugin has started has no owner, so its text stays without a name."""
+        captured = _capturing.get()
+        if captured:
+            captured.add(str(text))
         else:
             sys.stderr.write(str(text))
         return len(text)
 
     def writable(self) -> bool:
-        """Yes."""
+        """Say that texts can be written."""
         return True
 
     def fileno(self) -> int:
-        """For children that inherit it: descriptor 1, which is diverted too."""
+        """The descriptor that child processes inherit; it is diverted too."""
         return 1
 
 
 @dataclass
 class _Diversion:
-    """Standard output as it was, the descriptor that keeps it, and the file that stands in for it."""
+    """Standard output as it was, a copy of its descriptor, and the file that descriptor 1 writes to instead."""
 
     stdout: Any
     descriptor: int
@@ -90,12 +104,12 @@ class _Diversion:
 
 _lock = Lock()
 _inside: list[_Diversion] = []
-"""As often as somebody is inside; all are the same one."""
+"""One item for each block that is open, all of them the same diversion: there is one standard output to divert."""
 
 
 @contextmanager
-def _diverted(outer: Prints | None, inner: Prints) -> Iterator[None]:
-    """The first to enter diverts standard output, the last to leave restores it."""
+def _diverted(outer: CapturedOutput | None, inner: CapturedOutput) -> Iterator[None]:
+    """Divert standard output when the first block is entered, and restore it when the last one is left."""
     with _lock:
         if _inside and outer:
             _pass_on(outer)
@@ -125,19 +139,19 @@ def _restore(diversion: _Diversion) -> None:
     diversion.file.close()
 
 
-def _pass_on(prints: Prints) -> None:
-    """What has come by the descriptor."""
+def _pass_on(captured: CapturedOutput) -> None:
+    """Add to an owner's output what descriptor 1 has received since the last call."""
     _flush()
     file = _inside[0].file
     file.seek(0)
     text = file.read().decode(errors="replace")
     file.seek(0)
     file.truncate()
-    prints.add(text)
+    captured.add(text)
 
 
 def _flush() -> None:
-    """Write out what Python and the C library still hold."""
+    """Write out what Python and the C library still hold in their buffers."""
     for stream in (sys.stdout, sys.__stdout__):
         with suppress(AttributeError, ValueError, OSError):
             stream.flush()  # type: ignore[union-attr]

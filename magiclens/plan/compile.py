@@ -1,4 +1,4 @@
-"""From a spec and the registry to a frozen plan: every stage chosen, every option known, every mistake found."""
+"""Compiles a spec into a frozen plan: every stage is chosen, every option is known, every mistake is found."""
 
 from __future__ import annotations
 
@@ -13,21 +13,25 @@ from magiclens.config.document import Document, Keys, read_document
 from magiclens.config.fabrication import Fabrication, find_fabrication
 from magiclens.config.fields import Context, Inputs
 from magiclens.config.load import check_spec
-from magiclens.config.model import DEFAULT_STAGES, Choice, PipelineSpec, Spec
+from magiclens.config.model import DEFAULT_STAGES, LISTED_STAGES, Choice, PipelineSpec, Spec
 from magiclens.config.suggest import advice, unknown
 from magiclens.contract.artifacts import Lens, Scene
 from magiclens.contract.stages import Annealer, Encoder, Exporter, Finisher, Integrator, Matcher, Renderer, Stage
-from magiclens.plan.registry import ART, SCENARIO, STAGE, Plugin, Registry, blaming
+from magiclens.plan.blame import blaming
+from magiclens.plan.registry import NAMED_ART, SCENARIO, STAGE, Plugin, Registry
 from magiclens.scenarios.base import Scenario, Shot
 
 S = TypeVar("S", bound=Stage)
-LISTS = {"exporters": "exporter", "renderers": "renderer"}
-"""Keys of the pipeline that take several stages, and their kind."""
 
 
 @dataclass(frozen=True)
 class Step(Generic[S]):
-    """A stage that a spec chose, with its options, and the plugin it comes from."""
+    """One step of a plan.
+
+    Attributes:
+        stage: The stage that the spec chose, with its options.
+        plugin: The plugin that contributes the stage.
+    """
 
     stage: S
     plugin: Plugin
@@ -41,14 +45,30 @@ class Step(Generic[S]):
         return f"{self.name} ({self.plugin})"
 
     def choice(self, inputs: Inputs | None = None) -> dict[str, Any]:
-        """The stage as a spec writes it, every option explicit."""
+        """The stage as a spec writes it, with every option. ``inputs`` collects its files, as in ``Plan.resolved``."""
         with blaming(str(self)):
             return {"type": self.stage.type, **self.stage.model_dump(mode="json", context={"inputs": inputs})}
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Everything a run does, in pipeline order."""
+    """Everything a run does, in pipeline order.
+
+    Attributes:
+        spec: The spec; scenario and stages in it are as they were written.
+        lens: The lens to design, with the source and the bleed that the scenario needs.
+        scenario: The scenario with its options.
+        scenario_plugin: The plugin that contributes the scenario.
+        matcher: The stage that finds candidates.
+        annealer: The stage that chooses among them.
+        integrator: The stage that makes heights.
+        finisher: The stage that repairs the mesh.
+        encoder: The stage that paints the sources; None if they stay as they are.
+        exporters: The stages that write the lens to files.
+        renderers: The stages that simulate what the eye sees.
+        fabrication: The machine that makes the lens, if the spec names one.
+        registry: Where scenario, stages and named pictures were found.
+    """
 
     spec: Spec
     lens: Lens
@@ -71,21 +91,22 @@ class Plan:
         return (*single, *([self.encoder] if self.encoder else []), *self.exporters, *self.renderers)
 
     def shots(self) -> tuple[Shot, ...]:
-        """The views before they have pictures."""
+        """The views before their pictures are loaded."""
         with blaming(f"scenario {self.scenario.type} ({self.scenario_plugin})"):
             return self.scenario.shots(self.lens, self.spec.viewer)
 
     def scene(self) -> Scene:
-        """The lens and its views, pictures loaded."""
+        """The lens and its views with their pictures."""
         with blaming(f"scenario {self.scenario.type} ({self.scenario_plugin})"):
             views = self.scenario.compiled(self.lens, self.spec.viewer, self.registry.art)
             return Scene(self.lens, views, self.scenario.reserved(self.lens, self.registry.art))
 
     def on_medium(self, scene: Scene) -> Scene:
-        """The scene as paper or screen shows it: its sources, and its targets, which cannot be darker than its black.
+        """The scene as the medium of the spec, paper or a screen, shows its sources.
 
-        Light counts from the medium's white: the eye adapts to that, as the exposure does in scores. What is written to
-        files, and what an encoder paints, keeps the full range: printing it does the mapping.
+        Targets are mapped in the same way, since nothing that the eye sees is darker than the medium's black. Light is
+        relative to the medium's white: the eye adapts to that, as the exposure does in scores. Files that are written,
+        and sources that an encoder paints, keep the full range from 0 to 1: printing them does the mapping.
         """
         medium = self.spec.medium
         if medium is None:
@@ -95,11 +116,15 @@ class Plan:
         return replace(scene, views=tuple(views))
 
     def resolved(self, inputs: Inputs | None = None) -> dict[str, Any]:
-        """The spec with every default written out. ``inputs`` collects its files and makes their paths portable."""
+        """The spec with every default written out.
+
+        Args:
+            inputs: Collects the files that the spec names; their paths then are those in the run folder.
+        """
         spec = self.spec.model_dump(mode="json", exclude_none=True)
         scenario = self.scenario.model_dump(mode="json", exclude_none=True, context={"inputs": inputs})
-        several = {key: [step.choice(inputs) for step in getattr(self, key)] for key in LISTS}
-        single = {s.stage.kind: s.choice(inputs) for s in self.steps if s.stage.kind not in LISTS.values()}
+        several = {key: [step.choice(inputs) for step in getattr(self, key)] for key in LISTED_STAGES}
+        single = {s.stage.kind: s.choice(inputs) for s in self.steps if s.stage.kind not in LISTED_STAGES.values()}
         rounds = {key: getattr(self.spec.pipeline, key) for key in ("rematch", "codesign")}
         making = {"fabrication": self.fabrication.resolved()} if self.fabrication else {}
         return {
@@ -111,24 +136,31 @@ class Plan:
 
 
 def load_plan(path: str | Path, overrides: Iterable[str] = (), registry: Registry | None = None) -> Plan:
-    """Read a spec, lay ``key.path=value`` overrides over it and compile it.
+    """Read a spec and compile it.
 
-    Raises InputError naming the first mistake in file order, StageError when two packages claim a chosen stage.
+    Args:
+        path: The spec, a YAML file.
+        overrides: Values to change, as text ``key.path=value``, such as ``lens.facets=64``.
+        registry: Where stages are looked up; by default everything that is installed.
+
+    Raises:
+        InputError: The spec has a mistake. The message names the first one in the order of the file.
+        StageError: Two packages contribute a stage that the spec chooses.
     """
     return compile_plan(read_document(path, overrides), registry or Registry.load())
 
 
 def compile_plan(document: Document, registry: Registry) -> Plan:
-    """Resolve a document against the registry. Raises like ``load_plan``."""
+    """Compile a spec that has been read already. Raises like ``load_plan``."""
     return _Compiler(document, registry).plan()
 
 
 class _Compiler:
-    """Resolves the parts of one document, whatever else is wrong with it, so that the first mistake can be named."""
+    """Compiles every part of one document, even if others have mistakes, so that the first mistake can be named."""
 
     def __init__(self, document: Document, registry: Registry):
         self._document, self._registry = document, registry
-        self._checker = Checker(document, Context(folder=document.folder, art=registry.types(ART)))
+        self._checker = Checker(document, Context(folder=document.folder, art=registry.types(NAMED_ART)))
         self._fabrication = find_fabrication(document, self._checker)
 
     def plan(self) -> Plan:
@@ -164,19 +196,19 @@ class _Compiler:
         return (self._options(found, choice, ("scenario",), "key"), found[1]) if found else (None, None)
 
     def _steps(self, suited: Mapping[str, Choice]) -> dict[str, list[Step[Any] | None]]:
-        """The stages at each key of the pipeline; None where something is wrong, nothing if the pipeline itself is."""
+        """The stages at each key of the pipeline; None in place of those that have mistakes."""
         pipeline = self._checker.validate(PipelineSpec, self._document.data.get("pipeline", {}), ("pipeline",))
         if pipeline is None:
             return defaultdict(lambda: [None])
         choices = {kind: pipeline.choice(kind, suited) for kind in (*DEFAULT_STAGES, Encoder.kind)}
         single = {k: [self._step(k, choice, ("pipeline", k))] if choice else [] for k, choice in choices.items()}
-        several = {key: self._list(key, getattr(pipeline, key)) for key in LISTS}
+        several = {key: self._list(key, getattr(pipeline, key)) for key in LISTED_STAGES}
         return {**single, **several}
 
     def _list(self, key: str, choices: list[Choice]) -> list[Step[Any] | None]:
         """The stages of a list; no two of them may write the same files."""
-        steps = [self._step(LISTS[key], choice, ("pipeline", key, i)) for i, choice in enumerate(choices)]
-        files = [_writes(step.stage) if step else None for step in steps]
+        steps = [self._step(LISTED_STAGES[key], choice, ("pipeline", key, i)) for i, choice in enumerate(choices)]
+        files = [_written_file(step.stage) if step else None for step in steps]
         for i, file in enumerate(files):
             if file and file in files[:i]:
                 self._checker.add(("pipeline", key, i), f"an earlier one writes {file} already; keep one of them")
@@ -184,11 +216,11 @@ class _Compiler:
 
     def _step(self, kind: str, choice: Choice, at: Keys) -> Step[Any] | None:
         found = self._pick(at, choice, STAGE, kind)
-        usual = self._machines(found[0]) if found and kind == Exporter.kind else {}
+        usual = self._options_of_machine(found[0]) if found and kind == Exporter.kind else {}
         stage = self._options(found, {**usual, **choice}, at, "option") if found else None
         return Step(stage, found[1]) if found and stage else None
 
-    def _machines(self, exporter: type[Exporter]) -> Choice:
+    def _options_of_machine(self, exporter: type[Exporter]) -> Choice:
         """The options of an exporter that the machine decides."""
         usual = self._fabrication.machine.exporters().get(exporter.type, {}) if self._fabrication else {}
         return {key: value for key, value in usual.items() if key in exporter.model_fields}
@@ -228,7 +260,7 @@ class _Compiler:
                 return None
 
 
-def _writes(stage: Stage) -> str:
-    """The files in a run folder that a stage calls its own."""
+def _written_file(stage: Stage) -> str:
+    """The file or folder in a run folder that only this stage may write."""
     suffix = getattr(stage, "suffix", "")
     return f"lens{suffix}" if stage.kind == Exporter.kind else f"renders/{stage.type}"

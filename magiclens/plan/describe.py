@@ -1,4 +1,4 @@
-"""A compiled plan as text, for ``mlens plan``."""
+"""Describes a plan as text, for ``mlens plan``."""
 
 from __future__ import annotations
 

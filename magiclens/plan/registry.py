@@ -1,19 +1,18 @@
-"""Finds plugins and knows what they contribute. The only file that touches pluggy.
+"""Finds plugins and keeps what they contribute; no other file uses pluggy.
 
-Built-in stages come through the same entry point group as everybody else's. Entry points are loaded one by one; what
-fails is recorded and stops nothing, what is printed goes to standard error. Later, plugins are called inside
-``blaming``, so that failures and prints carry their name.
+Built-in stages come through the same group of entry points as those of other packages. Entry points are loaded one by
+one. A plugin that fails is recorded and stops nothing; what it prints goes to standard error. Later, plugins are called
+inside ``blaming``, so that errors and output name them.
 """
 
 from __future__ import annotations
 
-import inspect
 import os
 import re
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
@@ -25,17 +24,35 @@ from magiclens.config.suggest import unknown
 from magiclens.contract import hookspecs
 from magiclens.contract.artifacts import FloatArray
 from magiclens.contract.errors import InputError, StageError, Terminated
-from magiclens.contract.stages import KINDS
-from magiclens.plan.capture import prints_of
+from magiclens.plan.blame import Blamed, blaming
+from magiclens.plan.capture import captured_output
+from magiclens.plan.flaws import art_flaw, executor_flaw, scenario_flaw, stage_flaw
 
-STAGE, SCENARIO, ART, EXECUTOR = "stage", "scenario", "art", "executor"
-DISABLED = "MLENS_DISABLE_PLUGINS"
-"""Environment variable: plugins that are left alone, by package or entry point name, between commas or blanks."""
+STAGE = "stage"
+"""First key of stages in a registry; the second is their kind, the third their type."""
+
+SCENARIO = "scenario"
+"""First key of scenarios in a registry; the second is their type."""
+
+NAMED_ART = "art"
+"""First key of named pictures in a registry; the second is their name."""
+
+EXECUTOR = "executor"
+"""First key of executors in a registry; the second is their type."""
+
+_DISABLED_VARIABLE = "MLENS_DISABLE_PLUGINS"
+"""Environment variable that names the plugins to leave alone, by package or entry point, between commas or blanks."""
 
 
 @dataclass(frozen=True)
 class Plugin:
-    """Where something comes from: the entry point's name, its distribution and that one's version."""
+    """A plugin that is installed.
+
+    Attributes:
+        name: The name of its entry point, such as ``builtin``.
+        package: The package that it belongs to, such as ``magiclens``.
+        version: The package's version.
+    """
 
     name: str
     package: str
@@ -47,7 +64,7 @@ class Plugin:
 
 @dataclass(frozen=True)
 class Failure:
-    """Something of a plugin that cannot be used, or is not as it should be, and why: the last lines of a traceback."""
+    """A plugin, or one of its contributions, that cannot be used, and why: the last lines of a traceback."""
 
     plugin: Plugin
     reason: str
@@ -57,8 +74,14 @@ class Failure:
 
 
 @dataclass(frozen=True)
-class Entry:
-    """One contributed thing, its provider, and others who claim the same name."""
+class Contribution:
+    """One thing that a plugin contributes.
+
+    Attributes:
+        value: The class of a stage, a scenario or an executor, or the function that draws a named picture.
+        plugin: The plugin that was loaded first of those that contribute this name.
+        rivals: Plugins that contribute another value under the same name.
+    """
 
     value: Any
     plugin: Plugin
@@ -66,29 +89,40 @@ class Entry:
 
 
 class Registry:
-    """What plugins contribute: stages by (kind, type), scenarios and executors by type, art by name."""
+    """Everything that plugins contribute, by name.
+
+    Attributes:
+        failures: Plugins and contributions that cannot be used.
+        remarks: What is not as it should be, but keeps nothing from being used.
+        disabled: Plugins that were not loaded because the user does not want them.
+    """
 
     def __init__(self) -> None:
         self.failures: list[Failure] = []
         self.remarks: list[Failure] = []
         self.disabled: list[Plugin] = []
         self._plugins: dict[str, Plugin] = {}
-        self._entries: dict[tuple[str, ...], Entry] = {}
+        self._contributions: dict[tuple[str, ...], Contribution] = {}
         self._manager = pluggy.PluginManager("magiclens")
         self._manager.add_hookspecs(hookspecs)
 
     @classmethod
     def load(cls, found: Iterable[EntryPoint] | None = None, disabled: Iterable[str] | None = None) -> Registry:
-        """A registry of everything that is installed (or of the given entry points).
+        """A registry of everything that is installed.
 
-        disabled: packages and entry points that are not even imported; by default what the environment variable
-        MLENS_DISABLE_PLUGINS names. Raises InputError for a name that nothing has.
+        Args:
+            found: The entry points to load, instead of those of all installed packages.
+            disabled: Packages and entry points that are not even imported; by default those that the environment
+                variable MLENS_DISABLE_PLUGINS names.
+
+        Raises:
+            InputError: No plugin has a name that is to be disabled.
         """
         registry = cls()
         installed = entry_points(group=hookspecs.ENTRY_POINT_GROUP)
         points = sorted(installed if found is None else found, key=lambda p: (p.name, p.value))
         plugins = [_provider(point) for point in points]
-        names = re.split(r"[,\s]+", os.environ.get(DISABLED, "")) if disabled is None else disabled
+        names = re.split(r"[,\s]+", os.environ.get(_DISABLED_VARIABLE, "")) if disabled is None else disabled
         unwanted = {_known(name, plugins) for name in names if name}
         for point, plugin in zip(points, plugins, strict=True):
             if unwanted & _names(plugin):
@@ -98,7 +132,7 @@ class Registry:
         return registry
 
     def register(self, implementation: object, plugin: Plugin) -> None:
-        """Add one plugin: a module or object with hook implementations. What is wrong with it is recorded."""
+        """Add one plugin: a module or an object with hook implementations. What is wrong with it is recorded."""
         flaw = hookspecs.contract_flaw(implementation)
         if flaw:
             self._fail(plugin, flaw)
@@ -109,26 +143,33 @@ class Registry:
             self._collect(implementation, plugin, "mlens_executors", self._add_executors)
 
     def find(self, *key: str) -> tuple[Any, Plugin] | None:
-        """What has the name key[-1] among ``types(*key[:-1])``, and its plugin; None if nothing has.
+        """A contribution and its plugin.
 
-        Raises StageError when several packages claim the name.
+        Args:
+            key: The keys that lead to it, such as ``STAGE, "matcher", "exhaustive"`` or ``SCENARIO, "single"``.
+
+        Returns:
+            Its value and its plugin; None if nothing has this name.
+
+        Raises:
+            StageError: Several packages contribute something under this name.
         """
-        entry = self._entries.get(key)
-        if entry is None:
+        found = self._contributions.get(key)
+        if found is None:
             return None
-        if entry.rivals:
-            claims = " and ".join(str(p) for p in (entry.plugin, *entry.rivals))
+        if found.rivals:
+            claims = " and ".join(str(p) for p in (found.plugin, *found.rivals))
             keep = "keep one of them: uninstall the others, or --disable-plugin NAME"
             raise Blamed(f"the {' '.join(key[:-1])} {key[-1]!r} is claimed by {claims}; {keep}")
-        return entry.value, entry.plugin
+        return found.value, found.plugin
 
     def types(self, *kind: str) -> list[str]:
-        """The names to choose from: ``types(STAGE, "matcher")``, ``types(SCENARIO)``, ``types(ART)``."""
-        return sorted(key[-1] for key in self._entries if key[:-1] == kind)
+        """The names to choose from: ``types(STAGE, "matcher")``, ``types(SCENARIO)``, ``types(NAMED_ART)``."""
+        return sorted(key[-1] for key in self._contributions if key[:-1] == kind)
 
     @property
     def absent(self) -> str:
-        """Which plugins could not be used, or were not to be; nothing if there are none."""
+        """A hint that names the plugins that failed or are disabled; empty if there are none."""
         failed = ", ".join(dict.fromkeys(str(f.plugin) for f in self.failures))
         disabled = ", ".join(dict.fromkeys(map(str, self.disabled)))
         parts = [f"failed: {failed}"] if failed else []
@@ -137,32 +178,40 @@ class Registry:
 
     @property
     def art(self) -> Mapping[str, Callable[[int], FloatArray]]:
-        """Named pictures: a function from a size in pixels to (size, size, C) linear light, C = 1 or 3."""
-        return {name: partial(self._draw, name) for name in self.types(ART)}
+        """Named pictures: functions from a size in pixels to (size, size, C) float32, linear light, C = 1 or 3."""
+        return {name: partial(self._draw, name) for name in self.types(NAMED_ART)}
 
     def classes(self, *kind: str) -> dict[str, Any]:
-        """What the names of ``types(*kind)`` stand for."""
-        return {name: self._entries[*kind, name].value for name in self.types(*kind)}
+        """The classes that the names of ``types(*kind)`` are of."""
+        return {name: self._contributions[*kind, name].value for name in self.types(*kind)}
 
     @property
-    def entries(self) -> Mapping[tuple[str, ...], Entry]:
-        """Everything: (STAGE, kind, type), (SCENARIO, type), (ART, name), (EXECUTOR, type)."""
-        return dict(self._entries)
+    def contributions(self) -> Mapping[tuple[str, ...], Contribution]:
+        """Everything: (STAGE, kind, type), (SCENARIO, type), (NAMED_ART, name), (EXECUTOR, type)."""
+        return dict(self._contributions)
 
-    def tell(self, hook: str, **facts: Any) -> list[str]:
-        """Call an observing hook of every plugin; an observer that fails stops nothing, what it raised is returned."""
+    def notify(self, hook: str, **arguments: Any) -> list[str]:
+        """Call an observing hook of every plugin; an observer that fails stops nothing.
+
+        Args:
+            hook: The hook's name, such as ``mlens_run_done``.
+            arguments: All of the hook's arguments; implementations get those that they ask for.
+
+        Returns:
+            What the observers raised, a message each.
+        """
         complaints = []
         for implementation in getattr(self._manager.hook, hook).get_hookimpls():
             try:
                 plugin = self._plugins[implementation.plugin_name]
                 with blaming(f"plugin {plugin.name} ({plugin}): {hook}"):
-                    implementation.function(*(facts[name] for name in implementation.argnames))
+                    implementation.function(*(arguments[name] for name in implementation.argnames))
             except StageError as error:
                 complaints.append(str(error))
         return complaints
 
     def _draw(self, name: str, size_px: int) -> FloatArray:
-        found = self.find(ART, name)
+        found = self.find(NAMED_ART, name)
         if found is None:
             raise KeyError(name)
         with blaming(f"art {name} ({found[1]})"):
@@ -173,13 +222,13 @@ class Registry:
 
     def _load(self, point: EntryPoint, plugin: Plugin) -> None:
         """Import a plugin and add it."""
-        with prints_of(str(plugin)) as prints, self._recording(plugin):
+        with captured_output(str(plugin)) as output, self._recording(plugin):
             self.register(point.load(), plugin)
-        if prints.first:
-            self.remarks.append(Failure(plugin, f"prints while it is loaded: {prints.first!r}"))
+        if output.first_line:
+            self.remarks.append(Failure(plugin, f"prints while it is loaded: {output.first_line!r}"))
 
     def _accept(self, implementation: object, plugin: Plugin) -> bool:
-        """Whether the hooks are those of ``hookspecs``."""
+        """Hand a plugin to pluggy; whether its hooks have the names and arguments of ``hookspecs``."""
         name = f"{plugin.package}:{plugin.name}"
         with self._recording(plugin):
             self._manager.register(implementation, name=name)
@@ -188,6 +237,7 @@ class Registry:
             if not self._manager.get_hookcallers(implementation):
                 self.remarks.append(Failure(plugin, "contributes nothing: none of its functions has @hookimpl"))
             return True
+        # pluggy registers a plugin before it checks it, and would go on calling its hooks
         if self._manager.get_name(implementation) == name:
             self._manager.unregister(implementation)
         return False
@@ -201,7 +251,7 @@ class Registry:
 
     @contextmanager
     def _recording(self, plugin: Plugin, where: str = "") -> Iterator[None]:
-        """Whatever goes wrong inside is noted, even what is meant to end the program, and nothing is raised."""
+        """Record whatever goes wrong inside, even what is meant to end the program, and raise nothing of it."""
         try:
             yield
         except (KeyboardInterrupt, Terminated):
@@ -210,129 +260,62 @@ class Registry:
             self._fail(plugin, where + _last_lines())
 
     def _add_stages(self, classes: Iterable[Any], plugin: Plugin) -> None:
-        for cls in classes:
-            flaw = stage_flaw(cls)
-            if flaw:
-                self._fail(plugin, f"mlens_stages: {flaw}")
-            else:
-                self._add((STAGE, cls.kind, cls.type), cls, plugin)
+        for cls in self._sound(classes, stage_flaw, plugin, "mlens_stages"):
+            self._add((STAGE, cls.kind, cls.type), cls, plugin)
 
     def _add_scenarios(self, classes: Iterable[Any], plugin: Plugin) -> None:
-        for cls in classes:
-            flaw = _class_flaw(cls) or _lacks(cls, "shots", "fit", "compiled")
-            if flaw:
-                self._fail(plugin, f"mlens_scenarios: {flaw}")
-            else:
-                self._add((SCENARIO, cls.type), cls, plugin)
+        for cls in self._sound(classes, scenario_flaw, plugin, "mlens_scenarios"):
+            self._add((SCENARIO, cls.type), cls, plugin)
 
     def _add_executors(self, classes: Iterable[Any], plugin: Plugin) -> None:
-        for cls in classes:
-            flaw = _class_flaw(cls) or _lacks(cls, "map")
-            if flaw:
-                self._fail(plugin, f"mlens_executors: {flaw}")
-            else:
-                self._add((EXECUTOR, cls.type), cls, plugin)
+        for cls in self._sound(classes, executor_flaw, plugin, "mlens_executors"):
+            self._add((EXECUTOR, cls.type), cls, plugin)
 
     def _add_art(self, pictures: Mapping[str, Any], plugin: Plugin) -> None:
-        for name, draw in pictures.items():
-            if isinstance(name, str) and callable(draw):
-                self._add((ART, name), draw, plugin)
+        for name, draw in self._sound(pictures.items(), lambda picture: art_flaw(*picture), plugin, "mlens_art"):
+            self._add((NAMED_ART, name), draw, plugin)
+
+    def _sound(
+        self, contributed: Iterable[Any], flaw_of: Callable[[Any], str | None], plugin: Plugin, hook: str
+    ) -> Iterator[Any]:
+        """What has no flaw; the flaws of the others are recorded."""
+        for one in contributed:
+            flaw = flaw_of(one)
+            if flaw:
+                self._fail(plugin, f"{hook}: {flaw}")
             else:
-                self._fail(plugin, f"mlens_art: {name!r} is not the name of a function from pixels to a picture")
+                yield one
 
     def _add(self, key: tuple[str, ...], value: Any, plugin: Plugin) -> None:
-        old = self._entries.get(key)
-        self._entries[key] = Entry(old.value, old.plugin, (*old.rivals, plugin)) if old else Entry(value, plugin)
+        first = self._contributions.get(key)
+        rivals = (*first.rivals, plugin) if first else ()
+        self._contributions[key] = replace(first, rivals=rivals) if first else Contribution(value, plugin)
 
     def _fail(self, plugin: Plugin, reason: str) -> None:
         self.failures.append(Failure(plugin, reason))
 
 
-class Blamed(StageError):
-    """A StageError that says who it was."""
-
-
-@contextmanager
-def blaming(who: str) -> Iterator[None]:
-    """Whatever goes wrong inside comes out as a StageError that names who did it; what is printed is named too.
-
-    What is wrong with the user's input (InputError) passes, and so do an interrupt and a signal to end.
-    """
-    try:
-        with prints_of(who):
-            yield
-    except (InputError, Blamed, KeyboardInterrupt, Terminated):
-        raise
-    except StageError as error:
-        raise Blamed(f"{who}: {error}") from error
-    except BaseException as error:
-        raise Blamed(f"{who} failed: {type(error).__name__}: {error}") from error
-
-
 def _provider(point: EntryPoint) -> Plugin:
-    """Where an entry point comes from, as far as its package's metadata tell."""
+    """The plugin of an entry point, as far as its package's metadata tell."""
     name, version = (point.dist.name, point.dist.version) if point.dist else (None, None)
     return Plugin(point.name, name or "(unknown package)", version or "?")
 
 
 def _names(plugin: Plugin) -> set[str]:
-    """What a plugin can be disabled by; packages are spelt with - or _ or ., in capitals or not."""
+    """Names that a plugin can be disabled by, as they are compared."""
     return {_plain(plugin.name), _plain(plugin.package)}
 
 
 def _plain(name: str) -> str:
+    """A name in lower case with dashes: pip takes ``Mlens_Off`` and ``mlens.off`` for the same package, too."""
     return re.sub(r"[-_.]+", "-", name).lower()
 
 
 def _known(name: str, plugins: list[Plugin]) -> str:
-    """The name as it is compared. Raises InputError if no plugin has it."""
+    """A name as it is compared. Raises InputError if no plugin has it."""
     if not any(_plain(name) in _names(plugin) for plugin in plugins):
         raise InputError(unknown("plugin", name, {n for p in plugins for n in (p.package, p.name)}), "--disable-plugin")
     return _plain(name)
-
-
-def stage_flaw(cls: Any) -> str | None:
-    """What keeps a class from being a stage, judged by what it has, not by what it inherits."""
-    flaw = _class_flaw(cls)
-    if flaw:
-        return flaw
-    if getattr(cls, "kind", None) not in KINDS:
-        return f"{cls.__name__}.kind is not one of {', '.join(KINDS)}"
-    if not isinstance(getattr(cls, "version", None), str):
-        return f"{cls.__name__}.version is not text"
-    if cls.kind == "exporter" and not str(getattr(cls, "suffix", "")).startswith("."):
-        return f"{cls.__name__}.suffix is not a file ending such as '.stl'"
-    methods = _abstract(KINDS[cls.kind])
-    return _lacks(cls, *methods) or next(filter(None, (_miscalled(cls, name) for name in methods)), None)
-
-
-def _class_flaw(cls: Any) -> str | None:
-    if not inspect.isclass(cls):
-        return f"{cls!r} is not a class"
-    if not isinstance(getattr(cls, "type", None), str):
-        return f"{cls.__name__}.type is not text"
-    if inspect.isabstract(cls):
-        return f"{cls.__name__} lacks {', '.join(_abstract(cls))}"
-    return _lacks(cls, "model_validate", "model_dump")
-
-
-def _abstract(cls: type[Any]) -> list[str]:
-    return sorted(getattr(cls, "__abstractmethods__", ()))
-
-
-def _lacks(cls: type[Any], *methods: str) -> str | None:
-    missing = [name for name in methods if not callable(getattr(cls, name, None))]
-    return f"{cls.__name__} lacks {', '.join(missing)}" if missing else None
-
-
-def _miscalled(cls: type[Any], method: str) -> str | None:
-    """What is wrong if a stage's method does not take what runs give it, in this order."""
-    given = list(inspect.signature(getattr(KINDS[cls.kind], method)).parameters)
-    try:
-        inspect.signature(getattr(cls, method)).bind(*given)
-    except TypeError as error:
-        return f"{cls.__name__}.{method} is called with ({', '.join(given)}): {error}"
-    return None
 
 
 def _last_lines() -> str:

@@ -18,8 +18,9 @@ from magiclens.config.suggest import unknown
 from magiclens.config.wording import sentence
 from magiclens.contract.errors import InputError
 from magiclens.contract.executors import Executor
+from magiclens.plan.blame import blaming
 from magiclens.plan.compile import Plan, load_plan
-from magiclens.plan.registry import EXECUTOR, Registry, blaming
+from magiclens.plan.registry import EXECUTOR, Registry
 from magiclens.running.folder import MANIFEST
 from magiclens.running.manifest import spec_text, versions
 from magiclens.running.pipeline import run_plan

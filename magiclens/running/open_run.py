@@ -15,8 +15,9 @@ import numpy as np
 from magiclens.config.suggest import unknown
 from magiclens.contract.artifacts import FloatArray, HeightField, Scene, Solid, Transport, View
 from magiclens.contract.errors import InputError
+from magiclens.plan.blame import blaming
 from magiclens.plan.compile import Plan, load_plan
-from magiclens.plan.registry import Registry, blaming
+from magiclens.plan.registry import Registry
 from magiclens.running.folder import HEIGHTS, MANIFEST, load_heights, load_transport
 from magiclens.running.manifest import refresh_manifest, source_path
 

@@ -30,8 +30,9 @@ from magiclens.contract.checks import (
 from magiclens.contract.errors import InputError
 from magiclens.contract.result import RunResult, Zone
 from magiclens.contract.stages import KINDS, Exporter, Progress, Renderer
+from magiclens.plan.blame import Blamed, blaming
 from magiclens.plan.compile import Plan, Step, compile_plan, load_plan
-from magiclens.plan.registry import Blamed, Registry, blaming
+from magiclens.plan.registry import Registry
 from magiclens.profiles.machines import Machine
 from magiclens.running.folder import atomic_folder, save_heights, save_transport
 from magiclens.running.manifest import (
@@ -168,7 +169,7 @@ class _Worker:
 
     def tell(self, hook: str, **facts: Any) -> None:
         """Call an observing hook; plugins that fail in it are noted."""
-        for complaint in self._registry.tell(hook, **facts):
+        for complaint in self._registry.notify(hook, **facts):
             self._observer.notice(complaint)
 
     def timings(self) -> dict[str, float]:

@@ -15,8 +15,9 @@ from typing import Any
 
 from magiclens.contract.errors import InputError, MagicLensError
 from magiclens.contract.executors import Executor, Serial
+from magiclens.plan.blame import blaming
 from magiclens.plan.compile import load_plan
-from magiclens.plan.registry import Registry, blaming
+from magiclens.plan.registry import Registry
 from magiclens.running.folder import MANIFEST
 from magiclens.running.jobs import Job, finished_manifest, run_job
 from magiclens.sweep.combine import Combination, combinations

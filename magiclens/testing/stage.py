@@ -16,7 +16,7 @@ import pytest
 from magiclens.contract.artifacts import Scene
 from magiclens.contract.checks import BadArtifact
 from magiclens.contract.stages import Progress, Stage
-from magiclens.plan.registry import stage_flaw
+from magiclens.plan.flaws import stage_flaw
 from magiclens.testing.scenes import one_view, two_turns
 
 SEED = 20

@@ -70,7 +70,7 @@ def _stages(registry: Registry) -> list[Part]:
     parts = []
     for kind in KINDS:
         for name, cls in registry.classes(STAGE, kind).items():
-            by = f" Version {cls.version}, from {registry.entries[STAGE, kind, name].plugin}."
+            by = f" Version {cls.version}, from {registry.contributions[STAGE, kind, name].plugin}."
             parts.append(Part(f"{kind}: {name}", _words(cls) + by, model_tables(cls)))
     return parts
 
