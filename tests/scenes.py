@@ -73,7 +73,7 @@ def choices(offsets: FloatArray, maps: FloatArray, errors: FloatArray) -> Candid
     return Candidates(*(np.array(a, np.float32, order="C") for a in (offsets, maps, errors)))
 
 
-def surface(lens: Lens, heights: FloatArray, eye: Eye | None = ABOVE) -> HeightField:
+def surface(lens: Lens, heights: FloatArray, eye: Eye | FloatArray | None = ABOVE) -> HeightField:
     """A height field, from heights that broadcast to (N, N, m + 1, m + 1) mm."""
     k = lens.microfacets + 1
     shape = (lens.facets, lens.facets, k, k)

@@ -10,7 +10,7 @@ import pytest
 
 from fabricated import Eye, bumpy, flat
 from magiclens.contract.artifacts import FloatArray, HeightField, Lens, Solid
-from magiclens.geometry.columns import top_relief
+from magiclens.geometry.columns import top_heights
 from magiclens.geometry.solid import solid_from_heights
 from magiclens.meshing.validation import validate
 from magiclens.milling.border import outer, top_of
@@ -84,7 +84,7 @@ def test_what_fits_is_cut_as_designed_and_polishing_rounds_it() -> None:
     x, y, z = top(milled(flat(SMALL), mill(BALL)))
     assert z[inside, inside] == pytest.approx(SMALL.thickness_mm, abs=1e-5)
     x, y, raw = top(milled(waves(), mill(V)))
-    assert np.abs(raw - top_relief(waves(), x, y))[inside, inside].max() < 1e-3
+    assert np.abs(raw - top_heights(waves(), x, y))[inside, inside].max() < 1e-3
     sharp, round_ = (top(milled(cliff(0.1), mill(V, over)))[2][:, inside] for over in ("0.001mm", "0.1mm"))
     assert np.abs(np.diff(round_)).max() < 0.5 * np.abs(np.diff(sharp)).max()
 
@@ -108,7 +108,7 @@ def test_strips_put_together_are_the_whole_picture(eye: Eye, monkeypatch: pytest
 
     def surface(x: FloatArray, y: FloatArray) -> list[FloatArray]:
         asked.append(len(y))
-        z = top_relief(design, x, y)
+        z = top_heights(design, x, y)
         return [z, z - 0.4]
 
     low, high = strips.seen_in_strips(scene, design, surface, (0.02, 0.02), tracer)
@@ -117,7 +117,7 @@ def test_strips_put_together_are_the_whole_picture(eye: Eye, monkeypatch: pytest
     floor = design.vertices[top_of(design)[..., 0].size :]
     x, y = np.arange(x0, x1, 0.02), np.arange(y0, y1, 0.02)[::-1]
     for seen, lift in ((low, 0.0), (high, -0.4)):
-        whole = tracer.render(scene, strips.topped(x, y, top_relief(design, x, y) + lift, floor))
+        whole = tracer.render(scene, strips.topped(x, y, top_heights(design, x, y) + lift, floor))
         for part, picture in zip(seen, whole, strict=True):
             assert (np.abs(part - picture) > 1e-4).mean() < 1e-3
     assert np.abs(low[0] - high[0]).mean() > 1e-3

@@ -21,7 +21,7 @@ from magiclens.exporting.gltf import Glb
 from magiclens.exporting.height_map import HeightMap
 from magiclens.exporting.mesh_files import Stl
 from magiclens.exporting.three_mf import ThreeMf
-from magiclens.geometry.columns import top_relief
+from magiclens.geometry.columns import top_heights
 
 MICROMETRE = 1e-3
 EXPORTERS = [ThreeMf(), Glb(), HeightMap()]
@@ -96,7 +96,7 @@ def test_all_files_agree_on_the_size_within_a_micrometre(tmp_path: Path) -> None
     corners = vertices_stl(tmp_path / "lens.stl")
     read_back = Solid(corners, np.arange(len(corners), dtype=np.int32).reshape(-1, 3))
     x = (np.arange(500) + 0.5) * facts["pixel_mm"] - LENS.size_mm / 2
-    assert np.abs(heights - top_relief(read_back, x, -x)).max() < MICROMETRE
+    assert np.abs(heights - top_heights(read_back, x, -x)).max() < MICROMETRE
 
 
 def test_3mf_holds_the_mesh_in_millimetres(tmp_path: Path) -> None:
@@ -214,7 +214,7 @@ def test_height_map_of_a_leaning_top_is_its_highest_point(tmp_path: Path) -> Non
     solid = bumpy((60.0, 0.0, 60.0))
     heights, facts = heights_in(written(HeightMap(pixel="0.1mm"), tmp_path, solid))
     x = (np.arange(100) + 0.5) * 0.1 - 5
-    z = np.nan_to_num(top_relief(solid, x, -x), nan=facts["z_at_0_mm"])
+    z = np.nan_to_num(top_heights(solid, x, -x), nan=facts["z_at_0_mm"])
     assert np.abs(heights - z).max() < facts["z_at_65535_mm"] / 65535
 
 

@@ -79,7 +79,7 @@ def lens_at(scene: Scene, chosen: Assignment, levels: FloatArray) -> HeightField
     for _ in range(5):
         rows, columns, _ = edge_rises(scene, chosen, heights)
         heights = lenslets(rows, columns).reshape(n, n, k, k) + levels[..., None, None]
-    return HeightField(scene.lens, heights, None if scene.lens.cells == "vertical" else scene.reference_eye_mm)
+    return HeightField(scene.lens, heights, scene.cut_eye_mm)
 
 
 @pytest.mark.parametrize(

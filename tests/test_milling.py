@@ -12,7 +12,7 @@ import pytest
 
 from fabricated import EYE, LENS, Eye, bumpy, flat
 from magiclens.contract.artifacts import FloatArray, Solid
-from magiclens.geometry.columns import top_relief
+from magiclens.geometry.columns import top_heights
 from magiclens.milling.border import inner, outer, top_of
 from magiclens.milling.cutter import Cutter, scallop_mm
 from magiclens.milling.gcode import Gcode
@@ -171,9 +171,9 @@ def test_roughing_leaves_its_allowance(shape: dict[str, Any], tmp_path: Path) ->
     made = milled(exporter, tmp_path, solid)
     x0, x1, y0, y1 = inner(solid)
     x, y = np.linspace(x0, x1, 40), np.linspace(y1, y0, 40)
-    above = machined_surface(made.programs, x, y) - top_relief(solid, x, y)
+    above = machined_surface(made.programs, x, y) - top_heights(solid, x, y)
     top = made.programs[0].facts.zero_mm[2]
-    kept = np.minimum(0.2, top - top_relief(solid, x, y))
+    kept = np.minimum(0.2, top - top_heights(solid, x, y))
     assert (above >= kept - 1e-3).all()
     assert made.fit.stated_mm == math.inf
 

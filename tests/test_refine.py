@@ -57,7 +57,7 @@ def rolling(scene: Scene) -> HeightField:
     """One smooth surface over the whole lens: no steps, and facets that no quadratic describes."""
     x, y = plane_points_mm(scene.lens)
     heights = RAISED_MM + 0.12 * (np.sin(1.1 * x + 0.3 * y) + np.cos(0.9 * y - 0.5 * x))
-    return surface(scene.lens, heights, None if scene.lens.cells == "vertical" else tuple(scene.reference_eye_mm))
+    return surface(scene.lens, heights, scene.cut_eye_mm)
 
 
 def as_lenslets(built: HeightField) -> HeightField:

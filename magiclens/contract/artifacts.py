@@ -77,6 +77,10 @@ class Lens:
         c = (np.arange(self.facets) + 0.5) * self.pitch_mm - self.size_mm / 2
         return np.stack(np.broadcast_arrays(c[None, :], -c[:, None]), axis=-1)
 
+    def cut_along(self, eye_mm: FloatArray) -> FloatArray | None:
+        """The eye along whose rays facets are cut, if this is the reference eye; None where they are cut vertically."""
+        return None if self.cells == "vertical" else eye_mm
+
 
 class Seen:
     """Mixin: from where the lens is seen, and how it is turned.
@@ -147,9 +151,14 @@ class Scene(_ReadOnly):
 
     @property
     def reference_eye_mm(self) -> FloatArray:
-        """(3,) float64, lens frame: the eye along whose rays ``cells: eye`` facets are cut (mean of all eyes)."""
+        """(3,) float64, lens frame: the eye that facets are designed for (mean of all eyes)."""
         eye: FloatArray = np.mean([v.eye_in_lens_frame_mm for v in self.views], axis=0)
         return eye
+
+    @property
+    def cut_eye_mm(self) -> FloatArray | None:
+        """(3,) float64, lens frame: the eye along whose rays facets are cut; None where they are cut vertically."""
+        return self.lens.cut_along(self.reference_eye_mm)
 
 
 @dataclass(frozen=True)

@@ -33,13 +33,13 @@ class HeightMap(Exporter):
 
     def export(self, scene: Scene, solid: Solid, path: Path) -> None:
         """Write the picture, and the facts beside it. Raises InputError if pixels are too many or too large."""
-        from magiclens.geometry.columns import top_relief
+        from magiclens.geometry.columns import top_heights
 
         lens = scene.lens
         side = self._side(lens.size_mm)
         pixel_mm = lens.size_mm / side
         x = (np.arange(side) + 0.5) * pixel_mm - lens.size_mm / 2
-        z = top_relief(solid, x, -x)
+        z = top_heights(solid, x, -x)
         low, high = (float(bound) for bound in (np.nanmin(z), np.nanmax(z)))
         low = min(low, high - 0.001)
         _write(z, low, high, path, pixel_mm)

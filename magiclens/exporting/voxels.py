@@ -16,7 +16,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from magiclens.contract.artifacts import FloatArray, IntArray, Solid
-from magiclens.geometry.columns import first_at, rows_at, span
+from magiclens.geometry.columns import rows_at
+from magiclens.geometry.columns_kernels import first_at, span
 
 Bitmap = NDArray[np.uint8]
 

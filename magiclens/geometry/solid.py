@@ -1,4 +1,4 @@
-"""From heights to a closed mesh, manifold by construction: a regular grid on top, sides, a flat bottom."""
+"""Closed bodies under a grid of points, manifold by construction: the grid on top, sides, a flat bottom at z = 0."""
 
 from __future__ import annotations
 
@@ -6,8 +6,63 @@ from dataclasses import replace
 
 import numpy as np
 
-from magiclens.contract.artifacts import FloatArray, HeightField, Lens, Solid
-from magiclens.geometry.slab import border, slab
+from magiclens.contract.artifacts import FloatArray, HeightField, IntArray, Lens, Solid
+
+
+def solid_from_heights(heights: HeightField) -> Solid:
+    """The lens under a height field: top grid, sides along the cutting rays or flatter, flat bottom at z = 0."""
+    lens, eye = heights.lens, heights.eye_mm
+    lines = grid_lines(lens)
+    h = height_grid(heights)
+    u, v = np.meshgrid(lines, -lines)
+    top = heights.points_mm(u, v, h)
+    rim = _border(*h.shape)
+    foot = _dropped(heights.points_mm(u, v, np.zeros_like(h)).reshape(-1, 3)[rim], eye)
+    solid = solid_from_grid(top, _widened(foot, lens.floor_mm / 2), eye)
+    return replace(solid, metrics={"volume_mm3": volume(solid)})
+
+
+def solid_from_raster(x_mm: FloatArray, y_mm: FloatArray, z_mm: FloatArray, floor_mm: float = 0.0) -> Solid:
+    """The body under heights on a raster, with vertical cells.
+
+    Its floor is the top's outline, or a square where that is larger.
+
+    Args:
+        x_mm: (columns,) ascending.
+        y_mm: (rows,) descending.
+        z_mm: (rows, columns) heights above every (x_mm[column], y_mm[row]).
+        floor_mm: side of the square that the floor holds at least.
+    """
+    top = np.stack([*np.meshgrid(x_mm, y_mm), z_mm], axis=-1)
+    rim = top.reshape(-1, 3)[_border(*z_mm.shape)]
+    half = np.abs(rim[:, :2]).max(axis=0)
+    return solid_from_grid(top, rim * (*np.maximum(floor_mm / 2 / half, 1.0), 0.0))
+
+
+def solid_from_grid(top: FloatArray, floor: FloatArray, eye_mm: FloatArray | None = None) -> Solid:
+    """The body under a grid of points.
+
+    Every cell is cut from its top-left to its bottom-right corner; the bottom is a fan about the floor's mean.
+
+    Args:
+        top: (rows, columns, 3) mm, lens frame, row 0 at +y and column 0 at -x.
+        floor: (B, 3) points of z = 0 below the top's border points, mm, counter-clockwise from the top-left corner.
+        eye_mm: (3,) the eye along whose rays the top's cells are cut; None if they are vertical.
+    """
+    rows, columns = top.shape[:2]
+    vertices = np.concatenate([top.reshape(-1, 3), floor, floor.mean(axis=0, keepdims=True)])
+    faces = np.concatenate([top_faces(rows, columns), _faces_below(_border(rows, columns), rows * columns)])
+    return Solid(vertices, faces.astype(np.int32), (rows, columns), eye_mm)
+
+
+def top_faces(rows: int, columns: int) -> IntArray:
+    """(F, 3) the two triangles of every cell of a grid of vertices, cell after cell.
+
+    Cells are cut from their top-left to their bottom-right corner; the lower left triangle comes first.
+    """
+    index = np.arange(rows * columns).reshape(rows, columns)
+    tl, tr, bl, br = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+    return np.stack([tl, bl, br, tl, br, tr], axis=-1).reshape(-1, 3)
 
 
 def grid_lines(lens: Lens) -> FloatArray:
@@ -29,24 +84,11 @@ def height_grid(heights: HeightField) -> FloatArray:
     inner = heights.heights_mm.transpose(0, 2, 1, 3).reshape(n * k, n * k)
     lens = heights.lens
     beyond = lens.bleed_mm + lens.wall_mm / 2 if lens.bleed_mm else 0.0
-    onward = beyond / (lens.pitch_mm - lens.wall_mm) * lens.microfacets
-    for _ in range(2):
+    onward = beyond / (lens.pitch_mm - lens.wall_mm) * lens.microfacets  # in micro-facets
+    for _ in range(2):  # rows first, then columns
         first, last = inner[:1] - onward * (inner[1:2] - inner[:1]), inner[-1:] + onward * (inner[-1:] - inner[-2:-1])
         inner = np.concatenate([first, inner, last]).T
     return np.clip(inner, -lens.relief_mm, lens.relief_mm) if lens.bleed_mm else inner
-
-
-def solid_from_heights(heights: HeightField) -> Solid:
-    """The slab under a height field: top grid, sides along the cutting rays or flatter, flat bottom at z = 0."""
-    lens, eye = heights.lens, heights.eye_mm
-    lines = grid_lines(lens)
-    h = height_grid(heights)
-    u, v = np.meshgrid(lines, -lines)
-    top = heights.points_mm(u, v, h)
-    rim = border(*h.shape)
-    floor = _spread(_drop(heights.points_mm(u, v, np.zeros_like(h)).reshape(-1, 3)[rim], eye), lens.floor_mm / 2)
-    solid = slab(top, floor, eye)
-    return replace(solid, metrics={"volume_mm3": volume(solid)})
 
 
 def heights_of(solid: Solid, lens: Lens) -> FloatArray | None:
@@ -70,7 +112,22 @@ def volume(solid: Solid) -> float:
     return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6)
 
 
-def _drop(plane: FloatArray, eye: FloatArray | None) -> FloatArray:
+def _border(rows: int, columns: int) -> IntArray:
+    """(B,) indices of a grid's border points, counter-clockwise as the viewer sees them, from the top-left corner."""
+    index = np.arange(rows * columns).reshape(rows, columns)
+    return np.concatenate([index[:-1, 0], index[-1, :-1], index[:0:-1, -1], index[0, :0:-1]])
+
+
+def _faces_below(rim: IntArray, first: int) -> IntArray:
+    """Two triangles between each border edge and the floor edge below, whose points start at ``first``; the floor."""
+    low = first + np.arange(len(rim))
+    a, b, c, d = rim, np.roll(rim, -1), low, np.roll(low, -1)
+    middle = np.full_like(low, first + len(rim))
+    sides = [np.stack([a, c, d], axis=-1), np.stack([a, d, b], axis=-1)]
+    return np.concatenate([*sides, np.stack([low, middle, d], axis=-1)])
+
+
+def _dropped(plane: FloatArray, eye: FloatArray | None) -> FloatArray:
     """Points of the reference plane (V, 3) moved down to z = 0 along their rays."""
     if eye is None:
         return plane * (1, 1, 0)
@@ -79,7 +136,7 @@ def _drop(plane: FloatArray, eye: FloatArray | None) -> FloatArray:
     return down
 
 
-def _spread(floor: FloatArray, half: float) -> FloatArray:
+def _widened(floor: FloatArray, half: float) -> FloatArray:
     """Points of a rectangle's rim (V, 3) stretched until it holds the square of half side ``half`` about the axis."""
     if half <= 0.0:
         return floor

@@ -47,7 +47,7 @@ def iterate(
             "use a smaller window, a thicker lens or a smaller max_slope"
         )
     check_relief(heights, lens.relief_mm)
-    built = HeightField(lens, heights, None if lens.cells == "vertical" else scene.reference_eye_mm)
+    built = HeightField(lens, heights, scene.cut_eye_mm)
     metrics = measures(built) | {
         "integration_rounds": done + 1.0,
         "integration_change_mm": change,

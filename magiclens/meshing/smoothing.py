@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magiclens.contract.artifacts import FloatArray, Lens, Solid
+from magiclens.geometry.solid import top_faces
 
 
 def smoothed(solid: Solid, lens: Lens, bound_mm: float, iterations: int) -> tuple[Solid, float]:
@@ -16,7 +17,7 @@ def smoothed(solid: Solid, lens: Lens, bound_mm: float, iterations: int) -> tupl
     """
     assert solid.grid is not None
     top = solid.vertices[: solid.grid[0] * solid.grid[1]]
-    moved = _taubin(top, _top_faces(solid), _facet_cells(lens), iterations) - top
+    moved = _taubin(top, top_faces(*solid.grid), _facet_faces(lens), iterations) - top
     rays = _rays(top, solid.eye_mm)
     normals = _normals(top.reshape(*solid.grid, 3)).reshape(-1, 3)
     # What counts is how far the surface moves off itself: sliding along it changes no height.
@@ -37,16 +38,8 @@ def _taubin(vertices: FloatArray, faces: NDArray[np.integer], inside: NDArray[np
     return np.asarray(meshes.current_mesh().vertex_matrix(), np.float64)
 
 
-def _top_faces(solid: Solid) -> NDArray[np.integer]:
-    """The two triangles of every cell of the grid, cell after cell, cut from top-left to bottom-right."""
-    assert solid.grid is not None
-    index = np.arange(solid.grid[0] * solid.grid[1]).reshape(solid.grid)
-    tl, tr, bl, br = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
-    return np.stack([tl, bl, br, tl, br, tr], axis=-1).reshape(-1, 3)
-
-
-def _facet_cells(lens: Lens) -> NDArray[np.bool_]:
-    """(2 cells,) whether a triangle of ``_top_faces`` belongs to a facet rather than to a wall or to the rim."""
+def _facet_faces(lens: Lens) -> NDArray[np.bool_]:
+    """(F,) whether a triangle of ``top_faces`` belongs to a facet rather than to a wall or to the rim."""
     period = lens.microfacets + 1
     line = np.arange(lens.facets * period + 1) - 1
     inside = line % period != lens.microfacets

@@ -57,7 +57,7 @@ def inspect(folder: Path, facts: Mapping[str, Any], plan: Plan, solid: Solid | N
         broken = Finding("mesh", "red", f"{paths[0].name} cannot be read: {error}")
         return Preflight(str(facts["name"]), made_by, [broken], None)
     lens, views = plan.lens, opened(folder, facts)
-    eye = None if lens.cells == "vertical" else np.mean([view.eye_mm for view in views], axis=0)
+    eye = lens.cut_along(np.mean([view.eye_mm for view in views], axis=0))
     known = soundness.as_found(facts["metrics"], file.name) if solid and file.same_as(solid) else None
     sound = known or soundness.soundness(file, lens, eye)
     sound.append(soundness.size(file, lens))

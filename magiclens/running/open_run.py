@@ -56,9 +56,7 @@ class OpenRun:
         """The finished lens, from its stored heights."""
         from magiclens.geometry.solid import solid_from_heights
 
-        lens = self.plan.lens
-        eye = None if lens.cells == "vertical" else self.scene.reference_eye_mm
-        return solid_from_heights(HeightField(lens, load_heights(self.folder), eye))
+        return solid_from_heights(HeightField(self.plan.lens, load_heights(self.folder), self.scene.cut_eye_mm))
 
     def view(self, name: str | None = None) -> View:
         """The view of that name, the first one by default. Raises InputError if there is no such view."""

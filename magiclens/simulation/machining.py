@@ -15,8 +15,8 @@ from scipy.ndimage import gaussian_filter
 
 from magiclens.contract.artifacts import FloatArray, Scene, Solid
 from magiclens.contract.errors import InputError
-from magiclens.geometry.columns import top_relief
-from magiclens.geometry.slab import slab_under
+from magiclens.geometry.columns import top_heights
+from magiclens.geometry.solid import solid_from_raster
 from magiclens.milling.border import Rectangle, inner, outer, top_of
 from magiclens.milling.cutter import Cutter
 from magiclens.milling.gcode import Gcode, gcode_comments, parse_gcode
@@ -79,7 +79,7 @@ class Machined:
     @property
     def solid(self) -> Solid:
         """The surface as a closed body with vertical cells."""
-        return slab_under(self.x_mm, self.y_mm, self.z_mm, self.floor_mm)
+        return solid_from_raster(self.x_mm, self.y_mm, self.z_mm, self.floor_mm)
 
 
 def find_programs(folder: Path) -> list[Path]:
@@ -125,7 +125,7 @@ def simulate(paths: Sequence[Path], design: Solid, cutters: Mapping[int, Cutter]
         raise InputError("only programs for a lens whose top is a grid can be simulated")
     x, y = _raster(programs, design)
     z = machined_surface(programs, x, y)
-    design_z = top_relief(design, x, y)
+    design_z = top_heights(design, x, y)
     gouge = max(float(np.nanmax(design_z - z)), 0.0)
     below = design.vertices[design.grid[0] * design.grid[1] :, :2]
     floor = 2 * float(np.abs(below).max()) if len(below) else 0.0
@@ -204,7 +204,7 @@ def _fit(programs: Sequence[Program], design: Solid, gouge_mm: float) -> Fit:
         x, y = low + margin + share * (high - low - 2 * margin)
         columns, rows = x + side, y - side
         reachable = reachable_surface(design, cutter, columns, rows)
-        unreached.append(reachable - top_relief(design, columns, rows))
+        unreached.append(reachable - top_heights(design, columns, rows))
         left.append(float((machined_surface(programs, columns, rows) - reachable).max()))
     return Fit(
         gouge_mm,

@@ -10,8 +10,8 @@ from numba import njit, prange
 from scipy.ndimage import distance_transform_edt, gaussian_filter, maximum_filter, minimum_filter
 
 from magiclens.contract.artifacts import FloatArray, Scene, Solid
-from magiclens.geometry.columns import top_relief
-from magiclens.geometry.slab import slab_under
+from magiclens.geometry.columns import top_heights
+from magiclens.geometry.solid import solid_from_raster
 from magiclens.milling.border import outer, top_of
 from magiclens.milling.cutter import Cutter
 from magiclens.milling.outline import distance_at, rise_at
@@ -33,7 +33,7 @@ def milled(solid: Solid, mill: Mill) -> Solid | None:
         return None
     x0, x1, y0, y1 = outer(solid)
     x, y = (np.arange(a, b, COARSE_MM) for a, b in ((x0, x1), (y0, y1)))
-    return slab_under(x, y[::-1], milled_surface(solid, mill, x, y[::-1]))
+    return solid_from_raster(x, y[::-1], milled_surface(solid, mill, x, y[::-1]))
 
 
 def seen_as_milled(scene: Scene, solid: Solid, mill: Mill) -> list[FloatArray] | None:
@@ -59,7 +59,7 @@ def milled_surface(solid: Solid, mill: Mill, x_mm: FloatArray, y_mm: FloatArray)
     reach = min(float(outline[5]), float(distance_at(outline, steep)), 25 * pixel)
     around = math.ceil((2 * reach + 4 * mill.polish_mm) / pixel)
     before, after = (y_mm[0] + pixel * np.arange(around, 0, -1), y_mm[-1] - pixel * np.arange(1, around + 1))
-    z = top_relief(Solid(solid.vertices, upper), x_mm, np.concatenate([before, y_mm, after]))
+    z = top_heights(Solid(solid.vertices, upper), x_mm, np.concatenate([before, y_mm, after]))
     beside = np.isnan(z)
     if beside.any():  # the outline leans with the rays it is cut along
         z = z[tuple(distance_transform_edt(beside, return_distances=False, return_indices=True))]

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from magiclens.contract.artifacts import FloatArray, Solid
-from magiclens.geometry.slab import slab_under
+from magiclens.geometry.solid import solid_from_raster
 from magiclens.profiles.machines import Printer
 
 MOST_POINTS = 8_000_000
@@ -23,15 +23,15 @@ def printed(solid: Solid, printer: Printer) -> Solid:
     """
     from scipy.ndimage import gaussian_filter
 
-    from magiclens.geometry.columns import top_relief
+    from magiclens.geometry.columns import top_heights
 
     x, y = (_middles(solid, axis, pixel) for axis, pixel in enumerate(_pixels(solid, printer)))
-    z = np.nan_to_num(top_relief(solid, x, y[::-1]), nan=0.0).astype(np.float64)
+    z = np.nan_to_num(top_heights(solid, x, y[::-1]), nan=0.0).astype(np.float64)
     layers = np.maximum(np.rint(z / printer.layer), 1.0) * printer.layer
     spread = math.hypot(printer.blur, printer.polish)
     sigmas = spread / (y[1] - y[0]), spread / (x[1] - x[0])
     even = gaussian_filter(layers, sigmas, mode="nearest") if spread > 0 else layers
-    return slab_under(x, y[::-1], even)
+    return solid_from_raster(x, y[::-1], even)
 
 
 def _pixels(solid: Solid, printer: Printer) -> tuple[float, float]:

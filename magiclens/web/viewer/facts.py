@@ -46,7 +46,7 @@ def facts(lens: OpenRun) -> dict[str, Any]:
         "step": packed.step,
         "darkest": medium.black / medium.white if medium else 0.0,
         "steepest": max(_steepest_deg(heights, lens.plan.lens), 1.0),
-        **_lens(lens.plan.lens, None if lens.plan.lens.cells == "vertical" else lens.scene.reference_eye_mm),
+        **_lens(lens.plan.lens, lens.scene.cut_eye_mm),
     }
     return {
         "lens": glass,

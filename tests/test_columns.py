@@ -7,7 +7,7 @@ import pytest
 
 from fabricated import EYE, LENS, Eye, box, bumpy, flat, together
 from magiclens.contract.artifacts import FloatArray, Solid
-from magiclens.geometry.columns import top_relief
+from magiclens.geometry.columns import top_heights
 
 ASIDE = (60.0, 0.0, 60.0)
 INSIDE = np.linspace(-4.9, 4.9, 71)
@@ -35,7 +35,7 @@ def test_relief_is_the_highest_point_of_all_triangles(eye: Eye) -> None:
     y = np.sort(np.random.default_rng(1).uniform(-4.9, 4.9, 50))[::-1]
     expected = highest_by_barycentres(solid, x, y)
     assert np.isfinite(expected).mean() > 0.9
-    assert np.allclose(top_relief(solid, x, y), expected, rtol=0, atol=2e-6, equal_nan=True)
+    assert np.allclose(top_heights(solid, x, y), expected, rtol=0, atol=2e-6, equal_nan=True)
 
 
 def test_a_top_cut_along_slanting_rays_overhangs() -> None:
@@ -47,13 +47,13 @@ def test_a_top_cut_along_slanting_rays_overhangs() -> None:
 
 def test_rows_run_down_from_plus_y_and_columns_from_minus_x() -> None:
     solid = together(box((-5, -5, 0), (5, 5, 1)), box((1, 2, 2), (5, 5, 3)))
-    z = top_relief(solid, np.array([-3.0, 3.0]), np.array([4.0, -4.0]))
+    z = top_heights(solid, np.array([-3.0, 3.0]), np.array([4.0, -4.0]))
     assert z.tolist() == [[1.0, 3.0], [1.0, 1.0]]
 
 
 def test_borders_belong_to_the_solid_and_what_is_beside_it_has_no_height() -> None:
     lines = np.linspace(-6, 6, 13)
-    z = top_relief(flat(), lines, -lines)
+    z = top_heights(flat(), lines, -lines)
     assert np.array_equal(np.isfinite(z), (abs(lines) <= 5)[:, None] & (abs(lines) <= 5)[None, :])
     assert (z[np.isfinite(z)] == LENS.thickness_mm).all()
 
@@ -63,19 +63,19 @@ def test_no_hole_where_lines_run_along_edges_and_through_vertices() -> None:
     x = np.unique(solid.vertices[:, 0])
     middles = (x[:-1] + x[1:]) / 2
     for lines in (x, np.sort(np.concatenate([x, middles]))):
-        assert np.isfinite(top_relief(solid, lines, -lines)).all()
+        assert np.isfinite(top_heights(solid, lines, -lines)).all()
 
 
 def test_vertices_of_an_upright_top_have_their_own_height() -> None:
     solid = bumpy(None)
     rows, columns = solid.grid or (0, 0)
     grid = solid.vertices[: rows * columns].reshape(rows, columns, 3)
-    z = top_relief(solid, grid[0, :, 0], grid[:, 0, 1])
+    z = top_heights(solid, grid[0, :, 0], grid[:, 0, 1])
     assert np.array_equal(z, grid[..., 2].astype(np.float32))
 
 
 def test_lines_out_of_order_are_refused() -> None:
     with pytest.raises(ValueError, match="ascend"):
-        top_relief(flat(), INSIDE, INSIDE)
+        top_heights(flat(), INSIDE, INSIDE)
     with pytest.raises(ValueError, match="ascend"):
-        top_relief(flat(), INSIDE[::-1], -INSIDE)
+        top_heights(flat(), INSIDE[::-1], -INSIDE)
