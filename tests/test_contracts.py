@@ -13,7 +13,7 @@ import pytest
 from broken_stages import EXPECTED
 from magiclens.annealing.heat_bath import HeatBath
 from magiclens.annealing.metropolis import Metropolis
-from magiclens.encoding.least_squares import LeastSquares as Encoding
+from magiclens.encoding.least_squares import LeastSquaresEncoder
 from magiclens.exporting.gltf import Glb
 from magiclens.exporting.height_map import HeightMap
 from magiclens.exporting.mesh_files import Obj, Ply, Stl
@@ -91,7 +91,7 @@ class TestSmoothing(FinisherContract):
 
 
 class TestEncoding(EncoderContract):
-    stage = Encoding()
+    stage = LeastSquaresEncoder()
 
 
 class TestStl(ExporterContract):

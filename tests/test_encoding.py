@@ -14,12 +14,16 @@ from scipy.sparse import csr_array, eye_array
 
 from magiclens.analysis.leaks import leaks
 from magiclens.contract.artifacts import BoolArray, FloatArray, Scene, Transport, View
-from magiclens.encoding.least_squares import LeastSquares
+from magiclens.encoding.least_squares import LeastSquaresEncoder
 from magiclens.images import to_display
 from test_darts import LENS
 
-RNG = np.random.default_rng(0)
 SIDE = 24
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(0)
 
 
 def shuffled(seed: int = 0) -> Transport:
@@ -54,8 +58,10 @@ def test_the_first_run_on_a_machine_gives_the_same_bytes_as_the_second(tmp_path:
     assert first == second
 
 
-def scene(targets: list[FloatArray], names: list[str], reserved: BoolArray | None = None) -> Scene:
-    given = RNG.random((2 * SIDE, 2 * SIDE, targets[0].shape[-1])).astype(np.float32)
+def scene(
+    rng: np.random.Generator, targets: list[FloatArray], names: list[str], reserved: BoolArray | None = None
+) -> Scene:
+    given = rng.random((2 * SIDE, 2 * SIDE, targets[0].shape[-1])).astype(np.float32)
     views = [
         View(f"v{k}", given, target, np.array([0.0, 0.0, 440.0]), 0.0, name, f"t{k}")
         for k, (target, name) in enumerate(zip(targets, names, strict=True))
@@ -63,33 +69,33 @@ def scene(targets: list[FloatArray], names: list[str], reserved: BoolArray | Non
     return Scene(LENS, tuple(views), reserved)
 
 
-def picture(channels: int = 1) -> FloatArray:
-    return RNG.random((SIDE, SIDE, channels)).astype(np.float32)
+def picture(rng: np.random.Generator, channels: int = 1) -> FloatArray:
+    return rng.random((SIDE, SIDE, channels)).astype(np.float32)
 
 
 def encoded(given: Scene, transports: list[Transport], **options: object) -> Scene:
-    return LeastSquares.model_validate(options).encode(given, transports, np.random.default_rng(0))
+    return LeastSquaresEncoder.model_validate(options).encode(given, transports, np.random.default_rng(0))
 
 
 @pytest.mark.parametrize("channels", [1, 3])
-def test_what_can_be_shown_is_shown(channels: int) -> None:
+def test_what_can_be_shown_is_shown(rng: np.random.Generator, channels: int) -> None:
     transport = shuffled()
-    target = transport.see(RNG.random((2 * SIDE, 2 * SIDE, channels)).astype(np.float32)) / 0.85
-    (view,) = encoded(scene([target], ["a"]), [transport], iterations=200, exposure=0.85).views
+    target = transport.see(rng.random((2 * SIDE, 2 * SIDE, channels)).astype(np.float32)) / 0.85
+    (view,) = encoded(scene(rng, [target], ["a"]), [transport], iterations=200, exposure=0.85).views
     seen = transport.see(view.source) / 0.85
     assert abs(to_display(seen) - to_display(target)).max() < 0.02
     assert view.source.shape == (2 * SIDE, 2 * SIDE, channels)
 
 
-def test_views_that_share_a_source_are_solved_together() -> None:
+def test_views_that_share_a_source_are_solved_together(rng: np.random.Generator) -> None:
     """Two views draw from different pixels of one source: both are shown."""
-    first, targets = shuffled(), [picture(), picture()]
+    first, targets = shuffled(), [picture(rng), picture(rng)]
     matrix = first.matrix[:, np.random.default_rng(1).permutation(first.matrix.shape[1])]
     clash = set(first.matrix.indices) & set(matrix.indices)
     kept = csr_array(matrix)
     kept.data[np.isin(kept.indices, list(clash))] = 0.0
     second = replace(first, matrix=kept)
-    out = encoded(scene(targets, ["a", "a"]), [first, second], iterations=200, exposure=0.7)
+    out = encoded(scene(rng, targets, ["a", "a"]), [first, second], iterations=200, exposure=0.7)
     assert out.views[0].source is out.views[1].source
     lit = kept.sum(axis=1).reshape(SIDE, SIDE) > 0.55
     for transport, view, rows in zip((first, second), out.views, (np.ones_like(lit), lit), strict=True):
@@ -97,8 +103,8 @@ def test_views_that_share_a_source_are_solved_together() -> None:
         assert abs(seen - wanted)[rows].mean() < 0.02
 
 
-def test_frames_have_sources_of_their_own_and_unseen_pixels_keep_what_was_given() -> None:
-    transport, given = shuffled(), scene([picture(), picture()], ["a", "b"])
+def test_frames_have_sources_of_their_own_and_unseen_pixels_keep_what_was_given(rng: np.random.Generator) -> None:
+    transport, given = shuffled(), scene(rng, [picture(rng), picture(rng)], ["a", "b"])
     out = encoded(given, [transport, transport])
     seen = np.zeros(4 * SIDE * SIDE, bool)
     seen[transport.matrix.indices] = True
@@ -107,25 +113,25 @@ def test_frames_have_sources_of_their_own_and_unseen_pixels_keep_what_was_given(
     np.testing.assert_array_equal(a[~seen], given.views[0].source.ravel()[~seen])
 
 
-def test_reserved_pixels_stay_bit_for_bit_and_are_reckoned_with() -> None:
+def test_reserved_pixels_stay_bit_for_bit_and_are_reckoned_with(rng: np.random.Generator) -> None:
     reserved = np.zeros((2 * SIDE, 2 * SIDE), bool)
     reserved[: SIDE // 2] = True
-    transport, given = shuffled(), scene([picture()], ["a"], reserved)
+    transport, given = shuffled(), scene(rng, [picture(rng)], ["a"], reserved)
     (view,) = encoded(given, [transport], camouflage={"type": "noise"}, bleed="2mm").views
     np.testing.assert_array_equal(view.source[reserved], given.views[0].source[reserved])
     assert (view.source != given.views[0].source)[~reserved].mean() > 0.9
 
 
-def test_no_pixel_changes_by_more_than_allowed() -> None:
-    given = scene([picture()], ["a"])
+def test_no_pixel_changes_by_more_than_allowed(rng: np.random.Generator) -> None:
+    given = scene(rng, [picture(rng)], ["a"])
     (view,) = encoded(given, [shuffled()], change="10%", camouflage={"type": "flat"}).views
     change = abs(to_display(view.source) - to_display(given.views[0].source))
     assert change.max() <= 0.1 + 1 / 255
     assert change.max() > 0.09
 
 
-def test_camouflage_covers_what_is_not_seen_and_nothing_else() -> None:
-    transport, given = shuffled(), scene([picture()], ["a"])
+def test_camouflage_covers_what_is_not_seen_and_nothing_else(rng: np.random.Generator) -> None:
+    transport, given = shuffled(), scene(rng, [picture(rng)], ["a"])
     bare, covered = (encoded(given, [transport], **o).views[0] for o in ({}, {"camouflage": {"type": "flat"}}))
     seen = np.zeros(4 * SIDE * SIDE, bool)
     seen[transport.matrix.indices] = True
@@ -133,8 +139,8 @@ def test_camouflage_covers_what_is_not_seen_and_nothing_else() -> None:
     assert (covered.source.ravel()[~seen] == 1).all()
 
 
-def test_equal_inputs_give_equal_sources() -> None:
-    transport, given = shuffled(), scene([picture()], ["a"])
+def test_equal_inputs_give_equal_sources(rng: np.random.Generator) -> None:
+    transport, given = shuffled(), scene(rng, [picture(rng)], ["a"])
     one, two = (encoded(given, [transport], camouflage={"type": "noise"}).views[0].source for _ in range(2))
     np.testing.assert_array_equal(one, two)
 

@@ -22,7 +22,7 @@ def mlens_stages() -> Sequence[type[Stage]]:
     """Every built-in stage, in pipeline order."""
     from magiclens.annealing.heat_bath import HeatBath
     from magiclens.annealing.metropolis import Metropolis
-    from magiclens.encoding import least_squares as encoding
+    from magiclens.encoding.least_squares import LeastSquaresEncoder
     from magiclens.exporting.gltf import Glb
     from magiclens.exporting.height_map import HeightMap
     from magiclens.exporting.mesh_files import Obj, Ply, Stl
@@ -42,10 +42,9 @@ def mlens_stages() -> Sequence[type[Stage]]:
     from magiclens.rendering.tracer import Tracer
 
     matching: list[type[Stage]] = [Exhaustive, MultiView, DartThrowing]
-    design: list[type[Stage]] = [HeatBath, Metropolis, Poisson, LeastSquaresIntegrator, Pymeshlab]
-    painting: list[type[Stage]] = [encoding.LeastSquares]
+    design: list[type[Stage]] = [HeatBath, Metropolis, Poisson, LeastSquaresIntegrator, Pymeshlab, LeastSquaresEncoder]
     fabrication: list[type[Stage]] = [Stl, Ply, Obj, ThreeMf, Glb, HeightMap, Slices, Gcode, Rml, Sheet, Monitor]
-    return [*matching, *design, *painting, *fabrication, Tracer, Mitsuba]
+    return [*matching, *design, *fabrication, Tracer, Mitsuba]
 
 
 @hookimpl
