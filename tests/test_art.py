@@ -9,17 +9,18 @@ import numpy as np
 import pytest
 from scipy.ndimage import label
 
+from magiclens.contract.artifacts import FloatArray
 from magiclens.contract.errors import InputError
-from magiclens.images import ART, FloatArray, art, resize, to_display
-from magiclens.images.raster import coverage, draw
+from magiclens.images import ART, art, resize, to_display
+from magiclens.images.raster import coverage, rasterize
 from magiclens.images.vector import (
     Layer,
     blob,
     brush,
+    centred,
     curve,
     ellipse,
     fill,
-    fitted,
     flat,
     linear_gradient,
     mirrored,
@@ -45,12 +46,12 @@ def test_coverage_is_the_share_of_each_pixels_area() -> None:
 
 def test_what_lies_beyond_the_picture_is_cut_off() -> None:
     assert coverage([rectangle(-5, -5, 1.5, 9)], (2, 3)).tolist() == [[1, 0.5, 0]] * 2
-    assert (draw([Layer((rectangle(120, 0, 140, 9),), flat(0.0))], 8) == 1).all()
+    assert (rasterize([Layer((rectangle(120, 0, 140, 9),), flat(0.0))], 8) == 1).all()
 
 
 @pytest.mark.parametrize("size_px", [9, 64, 333])
 def test_a_drawn_ellipse_has_its_true_area_at_any_size(size_px: int) -> None:
-    ink = 1 - draw([Layer((ellipse(48, 51, 30, 20, 25),), flat(0.0))], size_px).mean()
+    ink = 1 - rasterize([Layer((ellipse(48, 51, 30, 20, 25),), flat(0.0))], size_px).mean()
     assert ink == pytest.approx(np.pi * 30 * 20 / 1e4, rel=1e-3)
 
 
@@ -66,13 +67,13 @@ def test_overlapping_outlines_unite_whichever_way_they_run() -> None:
 
 
 def test_row_zero_is_the_top() -> None:
-    picture = draw([Layer((rectangle(0, 0, 100, 25),), flat(0.0))], 4)
+    picture = rasterize([Layer((rectangle(0, 0, 100, 25),), flat(0.0))], 4)
     assert picture[:, 0, 0].tolist() == [0, 1, 1, 1]
 
 
 def test_later_layers_lie_on_top_and_mix_light_by_their_opacity() -> None:
     whole = rectangle(0, 0, 100, 100)
-    picture = draw([Layer((whole,), flat(0.0)), Layer((whole,), flat(0.8), opacity=0.5)], 3)
+    picture = rasterize([Layer((whole,), flat(0.0)), Layer((whole,), flat(0.8), opacity=0.5)], 3)
     assert picture == pytest.approx(0.4)
 
 
@@ -102,7 +103,7 @@ def test_turning_is_clockwise_as_seen_and_mirroring_swaps_left_and_right() -> No
 
 
 def test_fitted_layers_are_centred_and_as_long_as_asked() -> None:
-    (layer,) = fitted([Layer((rectangle(0, 0, 10, 5),), flat(0.0))], side=80)
+    (layer,) = centred([Layer((rectangle(0, 0, 10, 5),), flat(0.0))], side=80)
     assert layer.outlines[0].min(0) == pytest.approx([10, 30])
     assert layer.outlines[0].max(0) == pytest.approx([90, 70])
 
@@ -117,7 +118,7 @@ def test_gradients_run_between_their_display_colours() -> None:
 
 
 def test_a_display_colour_fills_in_linear_light() -> None:
-    picture = draw([fill("#bc8040", rectangle(0, 0, 100, 100))], 2, paper=(1.0, 1.0, 1.0))
+    picture = rasterize([fill("#bc8040", rectangle(0, 0, 100, 100))], 2, paper=(1.0, 1.0, 1.0))
     assert to_display(picture)[0, 0] * 255 == pytest.approx([0xBC, 0x80, 0x40], abs=0.01)
 
 

@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from magiclens.contract.artifacts import FloatArray
 from magiclens.contract.errors import InputError
 from magiclens.images import (
     COLOURED,
-    FloatArray,
     circles,
     grey,
     luminance,
+    padded_to_square,
     read_image,
     resize,
     score,
-    square,
     to_display,
     to_linear,
     write_png,
@@ -223,7 +223,7 @@ def test_the_same_shape_changes_nothing() -> None:
 
 
 def test_a_wide_picture_is_centred_on_white_paper() -> None:
-    out = square(np.zeros((2, 6, 3), np.float32))
+    out = padded_to_square(np.zeros((2, 6, 3), np.float32))
     assert out.shape == (6, 6, 3)
     assert out[:, 0, 0].tolist() == [1, 1, 0, 0, 1, 1]
 

@@ -7,8 +7,9 @@ import pytest
 from scipy.ndimage import distance_transform_edt
 from skimage import data
 
-from magiclens.images import FloatArray, psnr_db, to_display, to_linear
-from magiclens.images.inpaint import BoolArray, inpaint
+from magiclens.contract.artifacts import BoolArray, FloatArray
+from magiclens.images import psnr_db, to_display, to_linear
+from magiclens.images.inpaint import inpaint
 
 LEVEL = 1 / 255
 

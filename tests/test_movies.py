@@ -13,8 +13,9 @@ import pytest
 from PIL import Image
 from skimage import data
 
+from magiclens.contract.artifacts import FloatArray
 from magiclens.contract.errors import InputError
-from magiclens.images import FloatArray, art, psnr_db, resize, to_display, to_linear, write_png
+from magiclens.images import art, psnr_db, resize, to_display, to_linear, write_png
 from magiclens.images.movies import frame_rate, read_frames, write_gif, write_mp4
 
 

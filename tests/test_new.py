@@ -15,7 +15,7 @@ from magiclens.cli import app
 from magiclens.contract.artifacts import FloatArray
 from magiclens.contract.errors import InputError
 from magiclens.images import art, to_display, to_linear, write_png
-from magiclens.images.resample import middle
+from magiclens.images.resample import cropped_to_square
 from magiclens.images.tones import toned
 from magiclens.new.judge import judge
 from magiclens.new.layouts import LAYOUTS
@@ -260,7 +260,7 @@ def test_levels_become_black_and_white() -> None:
 
 def test_the_middle_of_a_picture_is_square() -> None:
     picture = np.arange(12.0).reshape(2, 6, 1)
-    assert middle(picture)[..., 0].tolist() == [[2, 3], [8, 9]]
+    assert cropped_to_square(picture)[..., 0].tolist() == [[2, 3], [8, 9]]
 
 
 def test_padding_around_a_negative_is_white(save: Saver) -> None:

@@ -8,7 +8,7 @@ from scipy.ndimage import label
 
 from magiclens.contract.artifacts import FloatArray
 from magiclens.images import resize
-from magiclens.images.text import Box, text
+from magiclens.images.text import TextBox, text
 
 QUESTION = "Who was the first president of the USA?"
 SIZE = 240
@@ -56,7 +56,7 @@ def test_the_same_words_give_the_same_pixels() -> None:
 
 @pytest.mark.parametrize("words", [QUESTION, "42", "Incomprehensibilities", "a\nb\nc\nd\ne"])
 @pytest.mark.parametrize("box", [(0.0, 0.0, 1.0, 1.0), (0.1, 0.05, 0.9, 0.5), (0.7, 0.1, 0.9, 0.95)])
-def test_text_fits_its_box_and_cannot_be_larger(words: str, box: Box) -> None:
+def test_text_fits_its_box_and_cannot_be_larger(words: str, box: TextBox) -> None:
     marked = text(words, SIZE, box)[..., 0] < 1 - 1e-4
     rows, columns = np.flatnonzero(marked.any(1)), np.flatnonzero(marked.any(0))
     left, top, right, bottom = np.array(box) * SIZE
@@ -123,6 +123,6 @@ def test_a_letter_that_the_font_has_not_is_named() -> None:
 @pytest.mark.parametrize(
     "box", [(0.5, 0, 0.5, 1), (0, 0.6, 1, 0.4), (-0.1, 0, 1, 1), (0, 0, 1, 1.1), (0, 0, float("nan"), 1)]
 )
-def test_a_box_that_is_none_is_refused(box: Box) -> None:
+def test_a_box_that_is_none_is_refused(box: TextBox) -> None:
     with pytest.raises(ValueError, match="write left, top, right and bottom of a box inside the square"):
         text("no", SIZE, box)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from skimage import data
 
+from magiclens.contract.artifacts import BoolArray, FloatArray
 from magiclens.contract.errors import InputError
-from magiclens.images import COLOURED, FloatArray, circles, to_display, to_linear
-from magiclens.images.inpaint import BoolArray
+from magiclens.images import COLOURED, circles, to_display, to_linear
 from magiclens.images.texture import synthesize
 
 SIDE = 300

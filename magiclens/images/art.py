@@ -6,17 +6,17 @@ from collections.abc import Callable, Sequence
 from difflib import get_close_matches
 from functools import partial
 
+from magiclens.contract.artifacts import FloatArray
 from magiclens.contract.errors import InputError
-from magiclens.images.colour import FloatArray
 from magiclens.images.drawings import answers, clipart
 from magiclens.images.drawings.flower import flower
 from magiclens.images.drawings.foliage import foliage
 from magiclens.images.drawings.truck import truck
 from magiclens.images.drawings.worm import worm
-from magiclens.images.raster import draw
-from magiclens.images.vector import Layer, fitted
+from magiclens.images.raster import rasterize
+from magiclens.images.vector import Layer, centred
 
-WORM_FRAMES = 8
+_WORM_FRAMES = 8
 
 
 def art(name: str, size_px: int) -> FloatArray:
@@ -33,17 +33,17 @@ def art(name: str, size_px: int) -> FloatArray:
 
 def _silhouette(drawing: Callable[[], Sequence[Layer]], size_px: int) -> FloatArray:
     """Black on white, centred."""
-    return draw(fitted(drawing()), size_px)
+    return rasterize(centred(drawing()), size_px)
 
 
 def _worm(frame: int, size_px: int) -> FloatArray:
     """One frame of the worm's loop; frames share one camera, so nothing is centred."""
-    return draw(worm(frame, WORM_FRAMES), size_px)
+    return rasterize(worm(frame, _WORM_FRAMES), size_px)
 
 
 def _painting(drawing: Callable[[], Sequence[Layer]], size_px: int) -> FloatArray:
     """Colour up to the edges."""
-    return draw(drawing(), size_px, paper=(1.0, 1.0, 1.0))
+    return rasterize(drawing(), size_px, paper=(1.0, 1.0, 1.0))
 
 
 SILHOUETTES = (
@@ -73,11 +73,11 @@ SILHOUETTES = (
     answers.apple,
     answers.lightbulb,
 )
-PAINTINGS = (flower, truck, foliage)
+_PAINTINGS = (flower, truck, foliage)
 
 ART: dict[str, Callable[[int], FloatArray]] = {
     **{drawing.__name__: partial(_silhouette, drawing) for drawing in SILHOUETTES},
-    **{f"worm-{k}": partial(_worm, k) for k in range(WORM_FRAMES)},
-    **{drawing.__name__: partial(_painting, drawing) for drawing in PAINTINGS},
+    **{f"worm-{k}": partial(_worm, k) for k in range(_WORM_FRAMES)},
+    **{drawing.__name__: partial(_painting, drawing) for drawing in _PAINTINGS},
 }
 """From a name to a function of the size in pixels."""

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.floating[Any]]
+from magiclens.contract.artifacts import FloatArray
 
-LUMINANCE = (0.2126, 0.7152, 0.0722)
+_LUMINANCE = (0.2126, 0.7152, 0.0722)
 """Weights of linear red, green and blue in luminance (IEC 61966-2-1)."""
 
 
@@ -33,4 +30,4 @@ def grey(image: FloatArray) -> FloatArray:
 
 def luminance(linear: FloatArray) -> FloatArray:
     """(H, W) luminance 0..1 of an (H, W, C) image in linear light, C = 1 or 3."""
-    return linear[..., 0] if linear.shape[-1] == 1 else linear @ np.asarray(LUMINANCE, linear.dtype)
+    return linear[..., 0] if linear.shape[-1] == 1 else linear @ np.asarray(_LUMINANCE, linear.dtype)

@@ -11,10 +11,10 @@ from magiclens.contract.artifacts import FloatArray
 from magiclens.contract.errors import InputError
 from magiclens.images.files import read_image, write_png
 
-FPS = 10.0
+_FPS = 10.0
 """Of animations made from a folder of pictures."""
 
-MOVIES = (".gif", ".mp4")
+_MOVIES = (".gif", ".mp4")
 Work = Callable[[Iterable[FloatArray]], Iterator[FloatArray]]
 
 
@@ -30,7 +30,7 @@ def convert(work: Work, source: Path, out: Path, px_per_mm: float | None = None)
         raise InputError(f"there is no picture '{source}'")
     many = not is_still(source)
     ending = out.suffix.lower()
-    if ending not in (("", *MOVIES) if many else (".png",)):
+    if ending not in (("", *_MOVIES) if many else (".png",)):
         wanted = "a .gif, an .mp4 or a folder" if many else "a .png"
         raise InputError(f"'{out}' cannot hold this; write {wanted}", "--out")
     results = work(read_frames(source) if many else [read_image(source)])
@@ -39,9 +39,9 @@ def convert(work: Work, source: Path, out: Path, px_per_mm: float | None = None)
         if not many:
             write_png(path, next(results), px_per_mm)
         elif ending == ".gif":
-            write_gif(path, results, rate or FPS)
+            write_gif(path, results, rate or _FPS)
         elif ending == ".mp4":
-            write_mp4(path, results, rate or FPS)
+            write_mp4(path, results, rate or _FPS)
         else:
             path.mkdir()
             for k, picture in enumerate(results):

@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from magiclens.contract.artifacts import FloatArray
 from magiclens.contract.errors import InputError
-from magiclens.images.colour import FloatArray, grey, to_display, to_linear
+from magiclens.images.colour import grey, to_display, to_linear
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-SIXTEEN_BIT = ("I", "I;16", "I;16L", "I;16B", "I;16N")
+_SIXTEEN_BIT = ("I", "I;16", "I;16L", "I;16B", "I;16N")
 """Pillow's modes for 16-bit greys; it also reads some 16-bit PNGs as 32-bit ``I``."""
 
 
@@ -57,7 +58,7 @@ def _decode(path: str | PathLike[str]) -> Image:
 
 def _display_values(image: Image) -> FloatArray:
     """(H, W, C) float32 display values 0..1, the last channel alpha when C = 2 or 4."""
-    if image.mode in SIXTEEN_BIT:
+    if image.mode in _SIXTEEN_BIT:
         return np.asarray(image, np.float32)[..., None] / np.float32(65535)
     mode = "RGBA" if image.has_transparency_data else "L" if image.mode in ("1", "L") else "RGB"
     values = np.asarray(image.convert(mode), np.float32) / np.float32(255)

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from magiclens.contract.artifacts import FloatArray
 from magiclens.contract.errors import InputError
-from magiclens.images.colour import FloatArray, grey, to_display, to_linear
+from magiclens.images.colour import grey, to_display, to_linear
 from magiclens.images.files import read_image
 
 if TYPE_CHECKING:
@@ -25,23 +26,23 @@ if TYPE_CHECKING:
 ByteArray = NDArray[np.uint8]
 IntArray = NDArray[np.signedinteger]
 
-PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".gif")
+_PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".gif")
 """Files of a folder that count as its frames."""
-ANIMATED = ("GIF", "PNG", "WEBP")
-CHOICES = "a folder of images, or a GIF, APNG, MP4, MOV or WebM file"
-VIDEO_OPTIONS = {"format_whitelist": "mov,matroska,avi", "protocol_whitelist": "file"}
+_ANIMATED = ("GIF", "PNG", "WEBP")
+_CHOICES = "a folder of images, or a GIF, APNG, MP4, MOV or WebM file"
+_VIDEO_OPTIONS = {"format_whitelist": "mov,matroska,avi", "protocol_whitelist": "file"}
 
-PALETTE = 256
-SAMPLE_PX = 100_000
+_PALETTE = 256
+_SAMPLE_PX = 100_000
 """About how many pixels of a movie its palette is made from."""
-FASTEST_GIF = 50
+_FASTEST_GIF = 50
 """Frames per second: browsers slow down what is faster."""
 
-MP4_OPTIONS = {"movflags": "+faststart", "fflags": "+bitexact"}
-X264_OPTIONS = {"crf": "16", "preset": "slow", "threads": "1", "flags": "+bitexact"}
-WITHOUT_VERSION = "filter_units=remove_types=6"
+_MP4_OPTIONS = {"movflags": "+faststart", "fflags": "+bitexact"}
+_X264_OPTIONS = {"crf": "16", "preset": "slow", "threads": "1", "flags": "+bitexact"}
+_WITHOUT_VERSION = "filter_units=remove_types=6"
 """Drops the notes in which the encoder names itself and its settings."""
-BT709, SRGB_CURVE, VIDEO_RANGE = 1, 13, 1
+_BT709, _SRGB_CURVE, _VIDEO_RANGE = 1, 13, 1
 
 
 def read_frames(path: str | PathLike[str]) -> Iterator[FloatArray]:
@@ -82,13 +83,13 @@ def write_gif(path: str | PathLike[str], frames: Iterable[FloatArray], fps: floa
     nearest ones of an adaptive palette, undithered. Equal frames in a row become one that stays longer. Raises
     InputError if ``fps`` is above 50.
     """
-    if not 0 < fps <= FASTEST_GIF:
-        raise InputError(f"a GIF cannot show {fps:g} frames per second; use at most {FASTEST_GIF}, or MP4")
+    if not 0 < fps <= _FASTEST_GIF:
+        raise InputError(f"a GIF cannot show {fps:g} frames per second; use at most {_FASTEST_GIF}, or MP4")
     pictures = [_bytes(frame) for frame in frames]
     _require_one_shape(pictures)
     codes = [_codes(picture) for picture in pictures]
     colours = _distinct(codes)
-    palette, index = (colours, np.arange(len(colours))) if len(colours) <= PALETTE else _adapted(pictures, colours)
+    palette, index = (colours, np.arange(len(colours))) if len(colours) <= _PALETTE else _adapted(pictures, colours)
     first, *rest = (_indexed(index[np.searchsorted(colours, code)], palette) for code in codes)
     ends = [round(100 * k / fps) for k in range(len(pictures) + 1)]
     milliseconds = [10 * (end - start) for start, end in pairwise(ends)]
@@ -107,14 +108,14 @@ def write_mp4(path: str | PathLike[str], frames: Iterable[FloatArray], fps: floa
     first = next(pictures, None)
     if first is None:
         raise ValueError("a movie needs at least one frame")
-    with av.open(str(path), "w", format="mp4", options=MP4_OPTIONS) as container:
-        stream = container.add_stream("libx264", Fraction(fps).limit_denominator(1001), X264_OPTIONS)
+    with av.open(str(path), "w", format="mp4", options=_MP4_OPTIONS) as container:
+        stream = container.add_stream("libx264", Fraction(fps).limit_denominator(1001), _X264_OPTIONS)
         stream.height, stream.width = first.shape[:2]
         stream.pix_fmt = "yuv420p"
         context = stream.codec_context
-        context.colorspace, context.color_primaries, context.color_range = BT709, BT709, VIDEO_RANGE
-        context.color_trc = SRGB_CURVE
-        anonymous = BitStreamFilterContext(WITHOUT_VERSION, stream)
+        context.colorspace, context.color_primaries, context.color_range = _BT709, _BT709, _VIDEO_RANGE
+        context.color_trc = _SRGB_CURVE
+        anonymous = BitStreamFilterContext(_WITHOUT_VERSION, stream)
         for picture in chain([first], pictures):
             _require_one_shape([first, picture])
             for packet in stream.encode(_video_frame(picture)):
@@ -136,7 +137,7 @@ def _frames(path: Path) -> Iterator[FloatArray]:
 
 def _folder_frames(folder: Path) -> Iterator[FloatArray]:
     """The images of a folder, hidden ones left out."""
-    names = [p.name for p in folder.iterdir() if p.suffix.lower() in PICTURES and not p.name.startswith(".")]
+    names = [p.name for p in folder.iterdir() if p.suffix.lower() in _PICTURES and not p.name.startswith(".")]
     if not names:
         raise InputError(f"the folder {str(folder)!r} holds no images")
     for name in sorted(names, key=_natural):
@@ -153,7 +154,7 @@ def _is_picture(path: Path) -> bool:
     """Is it an animated picture? If not, it may be a video. Raises InputError if it is missing or a still picture."""
     moves = _moves(path)
     if moves is False:
-        raise InputError(f"{str(path)!r} is a single picture, not a movie; use {CHOICES}")
+        raise InputError(f"{str(path)!r} is a single picture, not a movie; use {_CHOICES}")
     return moves is not None
 
 
@@ -163,7 +164,7 @@ def _moves(path: Path) -> bool | None:
 
     try:
         with Image.open(path) as image:
-            return image.format == "GIF" or (image.format in ANIMATED and getattr(image, "is_animated", False))
+            return image.format == "GIF" or (image.format in _ANIMATED and getattr(image, "is_animated", False))
     except FileNotFoundError:
         raise InputError(f"there is no movie file or folder {str(path)!r}") from None
     except UnidentifiedImageError:
@@ -220,9 +221,9 @@ def _opened(path: Path) -> InputContainer:
     import av
 
     try:
-        container = av.open(str(path), options=VIDEO_OPTIONS)
+        container = av.open(str(path), options=_VIDEO_OPTIONS)
     except (av.FFmpegError, OSError):
-        raise InputError(f"{str(path)!r} is not a movie that can be read; use {CHOICES}") from None
+        raise InputError(f"{str(path)!r} is not a movie that can be read; use {_CHOICES}") from None
     if not container.streams.video:
         container.close()
         raise InputError(f"{str(path)!r} holds no moving picture")
@@ -297,9 +298,9 @@ def _adapted(pictures: Sequence[ByteArray], colours: IntArray) -> tuple[IntArray
     from PIL import Image
     from scipy.spatial import KDTree
 
-    step = max(sum(picture[..., 0].size for picture in pictures) // SAMPLE_PX, 1)
+    step = max(sum(picture[..., 0].size for picture in pictures) // _SAMPLE_PX, 1)
     sample = np.concatenate([picture.reshape(-1, 3)[::step] for picture in pictures])
-    reduced = Image.fromarray(sample[None]).quantize(PALETTE, Image.Quantize.MEDIANCUT, kmeans=1)
+    reduced = Image.fromarray(sample[None]).quantize(_PALETTE, Image.Quantize.MEDIANCUT, kmeans=1)
     palette = np.array(reduced.getpalette(), np.uint8).reshape(-1, 3)
     nearest = KDTree(palette).query(_channels(colours))[1]
     return _codes(palette[None])[0], np.asarray(nearest)

@@ -6,16 +6,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from magiclens.images.colour import FloatArray
-from magiclens.images.vector import SIDE, Layer
+from magiclens.contract.artifacts import FloatArray
+from magiclens.images.vector import PICTURE_SIDE, Layer
 
 
-def draw(layers: Sequence[Layer], size_px: int, paper: Sequence[float] = (1.0,)) -> FloatArray:
+def rasterize(layers: Sequence[Layer], size_px: int, paper: Sequence[float] = (1.0,)) -> FloatArray:
     """(size_px, size_px, C) float32, linear light: the layers over plain paper of C channels, anti-aliased."""
     canvas = np.empty((size_px, size_px, len(paper)), np.float32)
     canvas[:] = paper
     for layer in layers:
-        _lay(canvas, layer)
+        _paint_layer(canvas, layer)
     return canvas
 
 
@@ -70,9 +70,9 @@ def _crossings(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.where(crosses, (line - a) / np.where(crosses, b - a, 1.0), 0.0).T
 
 
-def _lay(canvas: FloatArray, layer: Layer) -> None:
+def _paint_layer(canvas: FloatArray, layer: Layer) -> None:
     """Paint one layer onto the canvas, within its bounding box."""
-    scale = len(canvas) / SIDE
+    scale = len(canvas) / PICTURE_SIDE
     outlines = [outline * scale for outline in layer.outlines]
     points = np.concatenate(outlines)
     left, top = np.clip(np.floor(points.min(0)), 0, len(canvas)).astype(int)

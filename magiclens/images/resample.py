@@ -1,16 +1,21 @@
-"""Resampling in linear light."""
+"""Resampling, padding and cropping of pictures in linear light."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from magiclens.images.colour import FloatArray
+from magiclens.contract.artifacts import FloatArray
 
 
 def resize(linear: FloatArray, shape: tuple[int, int]) -> FloatArray:
-    """(rows, columns, C) float32 of an (H, W, C) image in linear light, within 0..1.
+    """Resize an image: along an axis that shrinks by exact area means, along one that grows by bicubic interpolation.
 
-    Along an axis that shrinks, every new pixel is the exact mean over its area; along one that grows, bicubic.
+    Args:
+        linear: (H, W, C) linear light.
+        shape: Rows and columns of the result.
+
+    Returns:
+        (rows, columns, C) float32, linear light, clipped to 0..1 since bicubic interpolation overshoots.
     """
     out = np.asarray(linear, np.float32)
     for axis in (0, 1):
@@ -18,8 +23,8 @@ def resize(linear: FloatArray, shape: tuple[int, int]) -> FloatArray:
     return np.ascontiguousarray(np.clip(out, 0.0, 1.0))
 
 
-def square(linear: FloatArray) -> FloatArray:
-    """(S, S, C): the image centred on white paper as large as its longer side."""
+def padded_to_square(linear: FloatArray) -> FloatArray:
+    """(S, S, C): the image (H, W, C), linear light, centred on white paper whose side is the image's longer one."""
     rows, columns, channels = linear.shape
     side = max(rows, columns)
     if rows == columns:
@@ -30,12 +35,22 @@ def square(linear: FloatArray) -> FloatArray:
     return paper
 
 
-def middle(linear: FloatArray) -> FloatArray:
-    """(S, S, C): the middle of an image (H, W, C), as large as its shorter side."""
+def cropped_to_square(linear: FloatArray) -> FloatArray:
+    """(S, S, C): the central part of an image (H, W, C), whose side is the image's shorter one."""
     rows, columns, _ = linear.shape
     side = min(rows, columns)
     top, left = (rows - side) // 2, (columns - side) // 2
     return linear[top : top + side, left : left + side]
+
+
+def halved(image: FloatArray) -> FloatArray:
+    """(ceil(H / 2), ceil(W / 2), ...) means of 2 x 2 pixels of an (H, W, ...) image.
+
+    If H or W is odd, the last row or column is used twice.
+    """
+    rows, columns = image.shape[:2]
+    even = np.pad(image, ((0, rows % 2), (0, columns % 2), *((0, 0),) * (image.ndim - 2)), mode="edge")
+    return np.asarray((even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2]) / 4, image.dtype)
 
 
 def _resize_rows(image: FloatArray, rows: int) -> FloatArray:
@@ -57,7 +72,7 @@ def _box(image: FloatArray, rows: int) -> FloatArray:
 
 
 def _bicubic(image: FloatArray, rows: int) -> FloatArray:
-    """Bicubic (Keys, a = -0.5) enlargement; it overshoots at edges."""
+    """Bicubic enlargement (Keys 1981, a = -0.5)."""
     from PIL import Image
 
     channels = [Image.fromarray(np.ascontiguousarray(c)) for c in np.moveaxis(image, -1, 0)]

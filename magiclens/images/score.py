@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magiclens.images.colour import FloatArray, to_display
+from magiclens.contract.artifacts import FloatArray
+from magiclens.images.colour import to_display
 from magiclens.images.resample import resize
 
 

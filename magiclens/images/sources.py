@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from magiclens.images.colour import FloatArray, to_linear
+from magiclens.contract.artifacts import FloatArray
+from magiclens.images.colour import to_linear
 
 BLACK_AND_WHITE = ((0.0,), (1.0,))
 """Linear light of the inks that ``circles`` draws with unless told otherwise."""

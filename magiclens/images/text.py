@@ -9,18 +9,18 @@ from pathlib import Path
 
 import numpy as np
 
-from magiclens.images.colour import FloatArray
+from magiclens.contract.artifacts import FloatArray
 from magiclens.images.raster import coverage
 
-Box = tuple[float, float, float, float]
+TextBox = tuple[float, float, float, float]
 """Left, top, right and bottom as shares 0..1 of the square."""
 
-MARGIN = 0.06
-SPACE = 0.4
+_MARGIN = 0.06
+_SPACE = 0.4
 """White between two words of a line, in em (the size of the font)."""
-LEADING = 1.15
+_LEADING = 1.15
 """From one line's base to the next, in em."""
-FLATNESS = 64
+_FLATTENING = 64
 """Outlines are flattened at this many times the size in which matplotlib gives them, 100 units per em."""
 
 
@@ -37,7 +37,7 @@ class _Word:
 _Line = tuple[_Word, ...]
 
 
-def text(words: str, size_px: int, box: Box = (MARGIN, MARGIN, 1 - MARGIN, 1 - MARGIN)) -> FloatArray:
+def text(words: str, size_px: int, box: TextBox = (_MARGIN, _MARGIN, 1 - _MARGIN, 1 - _MARGIN)) -> FloatArray:
     """(size_px, size_px, 1) float32, linear light: the words, broken into centred lines so that they fill the box.
 
     Line breaks in ``words`` are kept. ValueError for a text that is empty or has letters that the font has not, and
@@ -93,14 +93,14 @@ def _word(letters: str) -> _Word:
     vertices, codes = TextToPath().get_text_path(FontProperties(fname=_font_file()), letters)
     if len(vertices) == 0:
         return _Word((), 0.0, 0.0, 0.0)
-    per_em = TextToPath.FONT_SCALE * FLATNESS
-    polygons = Curves(vertices, codes).to_polygons(Affine2D().scale(FLATNESS, -FLATNESS))
+    per_em = TextToPath.FONT_SCALE * _FLATTENING
+    polygons = Curves(vertices, codes).to_polygons(Affine2D().scale(_FLATTENING, -_FLATTENING))
     outlines = [np.asarray(polygon) / per_em for polygon in polygons]
     (left, top), (right, bottom) = (bound(np.concatenate(outlines), axis=0) for bound in (np.min, np.max))
     return _Word(tuple(outline - (left, 0) for outline in outlines), right - left, top, bottom)
 
 
-def _largest(lines: Sequence[_Line], box: Box) -> Sequence[_Line]:
+def _largest(lines: Sequence[_Line], box: TextBox) -> Sequence[_Line]:
     """The lines broken so that the letters are as large as possible in the box; of several ways the narrowest."""
     return max(_wrappings(lines), key=lambda wrapped: _scale(wrapped, box))
 
@@ -130,30 +130,30 @@ def _wrap(words: _Line, width: float) -> list[_Line]:
 
 
 def _width(line: _Line) -> float:
-    return sum(word.width for word in line) + SPACE * max(len(line) - 1, 0)
+    return sum(word.width for word in line) + _SPACE * max(len(line) - 1, 0)
 
 
 def _extents(lines: Sequence[_Line]) -> tuple[float, float, float]:
     """Width, top and bottom of the ink in em, from the first line's base."""
-    tops = [k * LEADING + word.top for k, line in enumerate(lines) for word in line]
-    bottoms = [k * LEADING + word.bottom for k, line in enumerate(lines) for word in line]
+    tops = [k * _LEADING + word.top for k, line in enumerate(lines) for word in line]
+    bottoms = [k * _LEADING + word.bottom for k, line in enumerate(lines) for word in line]
     return max(map(_width, lines)), min(tops), max(bottoms)
 
 
-def _scale(lines: Sequence[_Line], box: Box) -> float:
+def _scale(lines: Sequence[_Line], box: TextBox) -> float:
     """Size of the font, as a share of the square, at which the lines just fit into the box."""
     width, top, bottom = _extents(lines)
     return min((box[2] - box[0]) / width, (box[3] - box[1]) / (bottom - top))
 
 
-def _placed(lines: Sequence[_Line], box: Box) -> Iterator[FloatArray]:
+def _placed(lines: Sequence[_Line], box: TextBox) -> Iterator[FloatArray]:
     """The outlines as shares of the square, in the middle of the box."""
     scale = _scale(lines, box)
     _, top, bottom = _extents(lines)
     middle = np.array([box[0] + box[2], box[1] + box[3]]) / 2
     for k, line in enumerate(lines):
-        pen = np.array([-_width(line) / 2, k * LEADING - (top + bottom) / 2])
+        pen = np.array([-_width(line) / 2, k * _LEADING - (top + bottom) / 2])
         for word in line:
             for outline in word.outlines:
                 yield (outline + pen) * scale + middle
-            pen[0] += word.width + SPACE
+            pen[0] += word.width + _SPACE

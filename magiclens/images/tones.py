@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from magiclens.images.colour import FloatArray, to_display, to_linear
+from magiclens.contract.artifacts import FloatArray
+from magiclens.images.colour import to_display, to_linear
 
 
 def toned(linear: FloatArray, black: float, white: float, negative: bool) -> FloatArray:

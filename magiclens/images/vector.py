@@ -13,10 +13,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magiclens.images.colour import FloatArray, to_linear
+from magiclens.contract.artifacts import FloatArray
+from magiclens.images.colour import to_linear
 
-SIDE = 100.0
-CURVE_STEPS = 16
+PICTURE_SIDE = 100.0
+_CURVE_STEPS = 16
 """Straight pieces per curve from one given point to the next."""
 
 Paint = Callable[[FloatArray, FloatArray], FloatArray]
@@ -32,7 +33,7 @@ class Layer:
     opacity: float = 1.0
 
 
-def fitted(layers: Sequence[Layer], side: float = 82.0) -> list[Layer]:
+def centred(layers: Sequence[Layer], side: float = 82.0) -> list[Layer]:
     """The layers scaled and moved so that their bounding box is centred, its longer side ``side`` units long.
 
     Paints stay where they are, so this is meant for flat ones.
@@ -40,7 +41,7 @@ def fitted(layers: Sequence[Layer], side: float = 82.0) -> list[Layer]:
     points = np.concatenate([outline for layer in layers for outline in layer.outlines])
     low, high = points.min(0), points.max(0)
     scale, middle = side / (high - low).max(), (low + high) / 2
-    return [replace(x, outlines=tuple((o - middle) * scale + SIDE / 2 for o in x.outlines)) for x in layers]
+    return [replace(x, outlines=tuple((o - middle) * scale + PICTURE_SIDE / 2 for o in x.outlines)) for x in layers]
 
 
 # Paints
@@ -110,13 +111,13 @@ def rectangle(left: float, top: float, right: float, bottom: float) -> FloatArra
 
 def ellipse(x: float, y: float, rx: float, ry: float | None = None, turn: float = 0.0) -> FloatArray:
     """An ellipse (a circle without ``ry``), turned clockwise by ``turn`` degrees."""
-    a = np.linspace(0, 2 * np.pi, 8 * CURVE_STEPS, endpoint=False)
+    a = np.linspace(0, 2 * np.pi, 8 * _CURVE_STEPS, endpoint=False)
     return turned(np.stack([x + rx * np.cos(a), y + (rx if ry is None else ry) * np.sin(a)], -1), turn, (x, y))
 
 
 def arc(x: float, y: float, radius: float, start: float, end: float) -> FloatArray:
     """An open circular line from one angle to another, degrees clockwise as seen from +x."""
-    a = np.radians(np.linspace(start, end, 4 * CURVE_STEPS))
+    a = np.radians(np.linspace(start, end, 4 * _CURVE_STEPS))
     return np.stack([x + radius * np.cos(a), y + radius * np.sin(a)], -1)
 
 
@@ -196,17 +197,17 @@ def _spline(p: FloatArray) -> FloatArray:
 
 
 def _spline_piece(p0: FloatArray, p1: FloatArray, p2: FloatArray, p3: FloatArray) -> FloatArray:
-    """(CURVE_STEPS, 2) points from p1 up to, not including, p2: the spline's piece as a cubic Bezier curve."""
+    """(_CURVE_STEPS, 2) points from p1 up to, not including, p2: the spline's piece as a cubic Bezier curve."""
     d1, d2, d3 = (max(float(np.hypot(*(b - a))), 1e-12) ** 0.5 for a, b in ((p0, p1), (p1, p2), (p2, p3)))
     b1 = (d1**2 * p2 - d2**2 * p0 + (2 * d1**2 + 3 * d1 * d2 + d2**2) * p1) / (3 * d1 * (d1 + d2))
     b2 = (d3**2 * p1 - d2**2 * p3 + (2 * d3**2 + 3 * d3 * d2 + d2**2) * p2) / (3 * d3 * (d3 + d2))
-    t = np.linspace(0, 1, CURVE_STEPS, endpoint=False)[:, None]
+    t = np.linspace(0, 1, _CURVE_STEPS, endpoint=False)[:, None]
     piece: FloatArray = (1 - t) ** 3 * p1 + 3 * t * (1 - t) ** 2 * b1 + 3 * t**2 * (1 - t) * b2 + t**3 * p2
     return piece
 
 
 def _cap(centre: FloatArray, across: FloatArray) -> FloatArray:
     """A half circle from ``centre + across`` round to the other side."""
-    a = np.linspace(0, np.pi, CURVE_STEPS)[1:-1, None]
+    a = np.linspace(0, np.pi, _CURVE_STEPS)[1:-1, None]
     cap: FloatArray = centre + np.cos(a) * across + np.sin(a) * np.array([across[1], -across[0]])
     return cap

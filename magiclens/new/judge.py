@@ -10,7 +10,7 @@ import numpy as np
 from magiclens.contract.artifacts import BoolArray, FloatArray
 from magiclens.contract.errors import InputError
 from magiclens.images import luminance, read_image, resize, to_display
-from magiclens.images.resample import middle, square
+from magiclens.images.resample import cropped_to_square, padded_to_square
 from magiclens.images.tones import toned
 
 SIDE = 512
@@ -82,7 +82,7 @@ def judge(path: Path) -> Judgement:
     photograph = float(((tones > 0.15) & (tones < 0.85)).mean()) > MID_TONES
     invert = not photograph and float(np.median(_border(tones))) < DARK_GROUND
     black, white = levels or (0.0, 1.0)
-    whole = (middle if photograph else square)(toned(picture, black, white, invert))
+    whole = (cropped_to_square if photograph else padded_to_square)(toned(picture, black, white, invert))
     small = resize(whole, (SIDE, SIDE))
     size = (picture.shape[1], picture.shape[0])
     return Judgement(path, size, photograph, levels, invert, _colourful(picture), _stroke(_dark(small)))

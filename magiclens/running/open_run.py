@@ -122,11 +122,11 @@ class OpenRun:
         Raises:
             InputError: There is no such view.
         """
-        from magiclens.images import resize, square
+        from magiclens.images import padded_to_square, resize
 
         transport = self.transport(name)
         medium = self.plan.spec.medium
-        fitting = (resize(square(source), transport.source_shape) for source in sources)
+        fitting = (resize(padded_to_square(source), transport.source_shape) for source in sources)
         return (transport.see(medium.shown(source) if medium else source) for source in fitting)
 
 
@@ -172,10 +172,10 @@ def _plan_of(path: Path, registry: Registry | None) -> Plan:
 
 def _with_target(view: View, frame: FloatArray, channels: int, name: str) -> View:
     """The view with the frame as its target, and with a source that no other view shares; both get these channels."""
-    from magiclens.images import square
+    from magiclens.images import padded_to_square
 
-    pictures = (
-        np.array(np.broadcast_to(p, (*p.shape[:2], channels)), np.float32) for p in (view.source, square(frame))
+    source, target = (
+        np.array(np.broadcast_to(picture, (*picture.shape[:2], channels)), np.float32)
+        for picture in (view.source, padded_to_square(frame))
     )
-    source, target = pictures
     return replace(view, source=source, target=target, source_name=name, target_name=name)

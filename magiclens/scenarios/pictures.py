@@ -101,9 +101,9 @@ class ImageSource(_Source):
     def raster(self, size_mm: float, art: Art) -> FloatArray:
         """(S, S, C) float32, linear light; as fine as the file if that is finer than 15 px/mm."""
         from magiclens.images.files import read_image
-        from magiclens.images.resample import resize, square
+        from magiclens.images.resample import padded_to_square, resize
 
-        picture = square(read_image(self.path))
+        picture = padded_to_square(read_image(self.path))
         side = min(max(_pixels(size_mm), len(picture)), LARGEST_PX)
         return resize(picture, (side, side))
 
@@ -198,12 +198,12 @@ class Look(SpecModel):
 
     def applied(self, picture: FloatArray) -> FloatArray:
         """(S, S, C) float32, linear light, of a picture (H, W, C) in linear light. Padding stays white."""
-        from magiclens.images.resample import middle, square
+        from magiclens.images.resample import cropped_to_square, padded_to_square
         from magiclens.images.tones import toned
 
         black, white = self.levels or (0.0, 1.0)
         changed = toned(picture, black, white, bool(self.invert)) if self.levels or self.invert else picture
-        return middle(changed) if self.fit == "crop" else square(changed)
+        return cropped_to_square(changed) if self.fit == "crop" else padded_to_square(changed)
 
 
 class Target(Look):

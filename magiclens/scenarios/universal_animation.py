@@ -129,9 +129,9 @@ def universal(subdivisions: int, camouflage: Camouflage) -> dict[str, Choice]:
 
 def masked(path: Path, side: int) -> BoolArray:
     """(side, side) bool: where a mask is dark, nearest pixels."""
-    from magiclens.images import luminance, read_image, square, to_display
+    from magiclens.images import luminance, padded_to_square, read_image, to_display
 
-    dark: BoolArray = to_display(luminance(square(read_image(path)))) < 0.5
+    dark: BoolArray = to_display(luminance(padded_to_square(read_image(path)))) < 0.5
     nearest = ((np.arange(side) + 0.5) * len(dark) / side).astype(int)
     return np.asarray(dark[nearest[:, None], nearest])
 

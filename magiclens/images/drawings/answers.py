@@ -6,7 +6,7 @@ from itertools import chain
 
 import numpy as np
 
-from magiclens.images.colour import FloatArray
+from magiclens.contract.artifacts import FloatArray
 from magiclens.images.drawings.clipart import cut, ink
 from magiclens.images.vector import (
     Layer,

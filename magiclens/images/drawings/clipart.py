@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from magiclens.images.colour import FloatArray
+from magiclens.contract.artifacts import FloatArray
 from magiclens.images.vector import (
     Layer,
     arc,

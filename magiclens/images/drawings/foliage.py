@@ -7,16 +7,16 @@ import numpy as np
 from magiclens.images.drawings.plants import leaf, petal
 from magiclens.images.vector import Layer, brush, ellipse, fill, hsv, placed, radial_gradient, rectangle, shifted
 
-LEAVES, BLOSSOMS, BERRIES = 900, 70, 45
+_LEAVES, _BLOSSOMS, _BERRIES = 900, 70, 45
 
 
 def foliage() -> list[Layer]:
     """From deep shade to white, down to fine veins; large leaves lie below, small ones on top."""
     rng = np.random.default_rng(21)
-    leaves = [_leaf(rng, size) for size in np.geomspace(26, 5, LEAVES)]
-    blossoms = [_blossom(rng) for _ in range(BLOSSOMS)]
-    berries = [_berries(rng) for _ in range(BERRIES)]
-    low, high = leaves[: LEAVES // 2] + blossoms[: BLOSSOMS // 2], leaves[LEAVES // 2 :] + blossoms[BLOSSOMS // 2 :]
+    leaves = [_leaf(rng, size) for size in np.geomspace(26, 5, _LEAVES)]
+    blossoms = [_blossom(rng) for _ in range(_BLOSSOMS)]
+    berries = [_berries(rng) for _ in range(_BERRIES)]
+    low, high = leaves[: _LEAVES // 2] + blossoms[: _BLOSSOMS // 2], leaves[_LEAVES // 2 :] + blossoms[_BLOSSOMS // 2 :]
     ground = fill("#0b1410", rectangle(0, 0, 100, 100))
     return [ground, *(layer for plant in low + high + berries for layer in plant)]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 
-from magiclens.images.colour import FloatArray
+from magiclens.contract.artifacts import FloatArray
 from magiclens.images.vector import blob, placed, stroke
 
 

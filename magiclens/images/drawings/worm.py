@@ -7,17 +7,17 @@ import numpy as np
 from magiclens.images.drawings.clipart import cut, ink
 from magiclens.images.vector import Layer, ellipse, polygon, rectangle, stroke
 
-GROUND = 74.0
-STRIDE = 18.0
-HUMP = 33.0
-RADIUS = 8.6
-BALLS = 9
+_GROUND = 74.0
+_STRIDE = 18.0
+_HUMP = 33.0
+_RADIUS = 8.6
+_BALLS = 9
 
 
 def worm(k: int, n: int) -> list[Layer]:
     """Frame k of a loop of n frames; the camera travels with the caterpillar, so the ground slides back."""
     phase = k / n
-    body = [layer for s in np.linspace(0, 0.86, BALLS) for layer in _ball(*_middle(s, phase), RADIUS)]
+    body = [layer for s in np.linspace(0, 0.86, _BALLS) for layer in _ball(*_middle(s, phase), _RADIUS)]
     return [*_ground(phase), *body, *_head(*_middle(1.0, phase))]
 
 
@@ -25,8 +25,8 @@ def _middle(s: float, phase: float) -> tuple[float, float]:
     """Middle (x, y) of the body at s, 0 at the tail to 1 at the head; what the hump has passed is a stride ahead."""
     hump = -0.45 + 1.9 * phase
     ahead = 1 / (1 + np.exp((s - hump) / 0.09))
-    lift = HUMP * np.exp(-(((s - hump) / 0.23) ** 2)) * (1 - 0.7 * (2 * s - 1) ** 4)
-    return 17 + 62 * s + STRIDE * (ahead - phase), GROUND - RADIUS - lift
+    lift = _HUMP * np.exp(-(((s - hump) / 0.23) ** 2)) * (1 - 0.7 * (2 * s - 1) ** 4)
+    return 17 + 62 * s + _STRIDE * (ahead - phase), _GROUND - _RADIUS - lift
 
 
 def _ball(x: float, y: float, radius: float) -> tuple[Layer, Layer]:
@@ -53,9 +53,9 @@ def _head(x: float, y: float) -> list[Layer]:
 
 def _ground(phase: float) -> list[Layer]:
     """A bar with one notch per stride."""
-    starts = [STRIDE * (j - phase) for j in range(8)]
+    starts = [_STRIDE * (j - phase) for j in range(8)]
     notches = [
-        polygon(f"{x},{GROUND + 1} {x + 3},{GROUND + 1} {x},{GROUND + 13} {x - 3},{GROUND + 13}") for x in starts
+        polygon(f"{x},{_GROUND + 1} {x + 3},{_GROUND + 1} {x},{_GROUND + 13} {x - 3},{_GROUND + 13}") for x in starts
     ]
-    beyond = (rectangle(-10, GROUND, 7, GROUND + 13), rectangle(93, GROUND, 130, GROUND + 13))
-    return [ink(rectangle(7, GROUND + 2, 93, GROUND + 11)), cut(*notches, *beyond)]
+    beyond = (rectangle(-10, _GROUND, 7, _GROUND + 13), rectangle(93, _GROUND, 130, _GROUND + 13))
+    return [ink(rectangle(7, _GROUND + 2, 93, _GROUND + 11)), cut(*notches, *beyond)]
