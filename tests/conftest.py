@@ -2,34 +2,23 @@
 
 from __future__ import annotations
 
-import itertools
-import sys
+import os
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 
 from magiclens.plan.registry import Registry
-from toys import SPEC, TOYS, SpecWriter, prism, registry_of
+from toys import SPEC, TOYS, SpecWriter, registry_of
+
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+"""Tests run side by side: kernels whose threads wait busily for each other would take the others' cores."""
 
 
 @pytest.fixture
 def registry() -> Registry:
     """Built-in scenarios and art, and the toy stages."""
     return registry_of(*TOYS)
-
-
-@pytest.fixture
-def toy_geometry(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The steps between stages, without optics: a prism for a solid, traced errors that fall from round to round."""
-    solid, traced = ModuleType("magiclens.geometry.solid"), ModuleType("magiclens.rendering.facet_errors")
-    falling = itertools.count(100, -1)
-    vars(solid)["solid_from_heights"] = prism
-    vars(solid)["heights_of"] = lambda solid, lens: None
-    vars(traced)["facet_errors"] = lambda scene, heights: np.full((scene.lens.facets,) * 2, next(falling) / 100)
-    monkeypatch.setitem(sys.modules, solid.__name__, solid)
-    monkeypatch.setitem(sys.modules, traced.__name__, traced)
 
 
 @pytest.fixture

@@ -22,7 +22,7 @@ HEAVY = {"numba", "scipy", "mitsuba", "pymeshlab", "matplotlib", "skimage"}
 
 
 @pytest.fixture
-def mlens(registry: Registry, monkeypatch: pytest.MonkeyPatch, toy_geometry: None) -> Any:
+def mlens(registry: Registry, monkeypatch: pytest.MonkeyPatch) -> Any:
     """Runs a command with the toy plugin installed."""
     monkeypatch.setattr(Registry, "load", lambda: registry)
 

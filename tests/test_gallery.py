@@ -75,7 +75,7 @@ Build = Callable[..., Any]
 
 
 @pytest.fixture
-def build(tmp_path: Path, registry: Registry, monkeypatch: pytest.MonkeyPatch, toy_geometry: None) -> Build:
+def build(tmp_path: Path, registry: Registry, monkeypatch: pytest.MonkeyPatch) -> Build:
     """Builds the gallery of two toy lenses; ``made`` collects which were run."""
     monkeypatch.setattr(Registry, "load", lambda: registry)
     monkeypatch.setattr("magiclens.report.write.write_report", _report)

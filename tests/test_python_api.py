@@ -27,7 +27,7 @@ NOTEBOOK = Path(__file__).parent.parent / "docs" / "notebooks" / "first-lens.ipy
 
 @pytest.fixture(autouse=True)
 def toys(
-    registry: Registry, toy_geometry: None, without_report: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    registry: Registry, without_report: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Lenses take no time, and start in a folder of their own."""
     monkeypatch.setattr(Registry, "load", lambda: registry)

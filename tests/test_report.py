@@ -195,7 +195,6 @@ def test_colour_views_stay_coloured(written: Callable[[RunResult], str], tmp_pat
     assert middles == [(0, 255, 0)] * 3
 
 
-@pytest.mark.usefixtures("toy_geometry")
 def test_a_run_writes_its_report(write_spec: SpecWriter, registry: Registry, tmp_path: Path) -> None:
     run = run_plan(load_plan(write_spec(), (), registry), tmp_path / "out")
     paths = [artifact["path"] for artifact in run.manifest["artifacts"]]

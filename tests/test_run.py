@@ -5,8 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, ClassVar
@@ -34,7 +34,7 @@ from toys import (
     registry_of,
 )
 
-pytestmark = pytest.mark.usefixtures("toy_geometry", "without_report")
+pytestmark = pytest.mark.usefixtures("without_report")
 
 Runner = Callable[..., Run]
 
@@ -62,6 +62,7 @@ def files(folder: Path) -> dict[str, bytes]:
 def test_a_run_folder_holds_what_the_contract_says(run: Runner) -> None:
     folder = run().folder
     assert sorted(files(folder)) == [
+        "heights.npz",
         "lens.toy",
         "manifest.json",
         "renders/tracer/rotation-000.png",
@@ -171,6 +172,31 @@ def test_a_run_folders_spec_runs_again_to_the_same_lens(
     assert str(tmp_path) not in (first.folder / "spec.yaml").read_text()
 
 
+PANDA_OVER_ITSELF = ("scenario={type: single, source: {type: art, name: panda}, target: {art: panda}}",)
+
+
+def tilting(*rounds: float) -> tuple[type[Stage], ...]:
+    """Stages for a lens that tilts every facet, in each round of rematching as much as is said: less is better."""
+    left = iter(rounds)
+
+    class Telling(ToyMatcher):
+        def match(self, scene: Scene, rng: np.random.Generator, progress: Any = None) -> Candidates:
+            found = super().match(scene, rng)
+            return replace(found, offsets_mm=np.full_like(found.offsets_mm, next(left)))
+
+        def rematch(self, scene: Scene, candidates: Candidates, *_: Any) -> Candidates:
+            offsets = np.full_like(candidates.offsets_mm, next(left))
+            return replace(candidates, offsets_mm=offsets, metrics={"rematched": 1.0})
+
+    class Tilting(ToyIntegrator):
+        def integrate(self, scene: Scene, assignment: Assignment, progress: Any = None) -> HeightField:
+            lines = scene.lens.microfacets + 1
+            tilts = assignment.offsets_mm[..., :1, None] * np.linspace(-0.2, 0.2, lines)
+            return HeightField(scene.lens, np.repeat(tilts, lines, axis=2).astype(float), None)
+
+    return Telling, Tilting
+
+
 def test_rematching_repeats_choice_and_integration(run: Runner) -> None:
     calls: list[str] = []
 
@@ -179,20 +205,17 @@ def test_rematching_repeats_choice_and_integration(run: Runner) -> None:
             calls.append("anneal")
             return super().anneal(scene, candidates, rng)
 
-    plain = run("one").data
-    done = run("two", "pipeline.rematch=2", stages=replaced(Counting))
+    done = run("out", "pipeline.rematch=2", *PANDA_OVER_ITSELF, stages=replaced(Counting, *tilting(3.0, 2.0, 1.0)))
     assert len(calls) == 3
-    assert np.allclose(done.data.candidates.offsets_mm, plain.candidates.offsets_mm + 2)
+    assert (done.data.candidates.offsets_mm == 1.0).all()
     assert done.manifest["metrics"]["rematched"] == 1.0
     assert [s["kind"] for s in done.manifest["stages"]].count("annealer") == 1
 
 
-def test_rematching_stops_when_it_no_longer_helps(run: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
-    errors = iter([0.5, 0.4, 0.6, 0.3])
-    traced = sys.modules["magiclens.rendering.facet_errors"]
-    monkeypatch.setattr(traced, "facet_errors", lambda scene, heights: np.full((4, 4), next(errors)))
-    plain, done = run("one").data, run("two", "pipeline.rematch=5").data
-    assert np.allclose(done.candidates.offsets_mm, plain.candidates.offsets_mm + 1)
+def test_rematching_stops_when_it_no_longer_helps(run: Runner) -> None:
+    stages = replaced(*tilting(3.0, 1.0, 2.0, 0.0))
+    done = run("out", "pipeline.rematch=5", *PANDA_OVER_ITSELF, stages=stages)
+    assert (done.data.candidates.offsets_mm == 1.0).all()
 
 
 def test_the_first_choice_is_kept_for_comparison(run: Runner) -> None:

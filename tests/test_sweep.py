@@ -29,9 +29,8 @@ Sweeper = Callable[..., Sweep]
 
 
 @pytest.fixture
-def toys(toy_geometry: None, without_report: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def toys(without_report: None) -> None:
     """Runs take no time."""
-    monkeypatch.setattr("magiclens.running.pipeline._bounds", lambda *_: {})
 
 
 @pytest.fixture

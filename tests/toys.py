@@ -122,12 +122,6 @@ def registry_of(*stages: object) -> Registry:
     return registry
 
 
-def prism(height_field: HeightField) -> Solid:
-    top = np.asarray(height_field.heights_mm).ravel()
-    vertices = np.column_stack([np.arange(len(top)), np.zeros(len(top)), top])
-    return Solid(vertices, np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]], np.int32))
-
-
 SPEC = """\
 scenario:
   type: rotating
