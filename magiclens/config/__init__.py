@@ -1,1 +1,1 @@
-"""The YAML spec: its shape, its units and its line-numbered errors. Scenario and stages are still unresolved here."""
+"""Reads YAML specs: their keys, units and errors with line numbers. Scenario and stages stay plain mappings here."""

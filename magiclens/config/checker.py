@@ -1,4 +1,4 @@
-"""Collects what is wrong with a spec and reports the first mistake as the author wrote it."""
+"""Validates the parts of a spec and reports the mistake that comes first in the file."""
 
 from __future__ import annotations
 
@@ -12,48 +12,62 @@ from magiclens.config.fields import Context
 from magiclens.config.wording import sentence
 from magiclens.contract.errors import InputError
 
-T = TypeVar("T")
-Model = TypeVar("Model", bound=BaseModel)
+_T = TypeVar("_T")
+_Model = TypeVar("_Model", bound=BaseModel)
 
 
 @dataclass(frozen=True)
-class Problem:
-    """One mistake, at a key that is there or ought to be."""
+class _Problem:
+    """One mistake, at a key that is in the spec or is missing from it."""
 
     at: Keys
     message: str
 
 
 class Checker:
-    """Validates parts of one document; nothing is raised before ``raise_first``, so that file order decides."""
+    """Validates parts of one document and collects the mistakes.
+
+    Nothing is raised before ``raise_first`` or ``settle``, so that the first mistake in the file is reported, whatever
+    was validated first.
+    """
 
     def __init__(self, document: Document, context: Context):
         self._document, self._context = document, context
-        self._problems: list[Problem] = []
+        self._problems: list[_Problem] = []
 
-    def validate(self, model: type[Model], data: Any, at: Keys = (), noun: str = "key") -> Model | None:
-        """The model that ``data`` (written at ``at``) describes, or None when something is wrong with it."""
+    def validate(self, model: type[_Model], data: Any, at: Keys = (), noun: str = "key") -> _Model | None:
+        """Validate one part of the document.
+
+        Args:
+            model: The model of this part.
+            data: The part, as plain data.
+            at: Where the part is in the document.
+            noun: What a key of this part is called in messages, such as ``option``.
+
+        Returns:
+            The validated model; None if the part has mistakes, which are then noted.
+        """
         try:
             return model.model_validate(data, context=self._context)
         except ValidationError as error:
             for details in error.errors(include_url=False):
                 loc, written = _as_in_yaml(details["loc"], data)
                 message = sentence(details, written, model, noun)
-                self._problems.append(Problem((*at, *loc), message))
+                self._problems.append(_Problem((*at, *loc), message))
             return None
 
     def add(self, at: Keys, message: str) -> None:
-        """Note a mistake that no model can see."""
-        self._problems.append(Problem(at, message))
+        """Note a mistake that no model can find, such as two stages that write the same file."""
+        self._problems.append(_Problem(at, message))
 
     def raise_first(self) -> None:
-        """Raise the mistake that was written first; what is missing comes after what is there."""
+        """Raise an InputError about the mistake that comes first in the file; missing keys come after all others."""
         if self._problems:
             first = min(self._problems, key=lambda p: (not self._document.written(p.at), self._document.order(p.at)))
             raise InputError(f"{dotted(first.at)}: {first.message}", self._document.where(first.at))
 
-    def settle(self, result: T | None) -> T:
-        """The result of a validation, once nothing was wrong."""
+    def settle(self, result: _T | None) -> _T:
+        """The result of a validation; raises an InputError instead if there was any mistake in the document."""
         self.raise_first()
         if result is None:
             raise ValueError("a validation failed without a problem")
@@ -61,7 +75,7 @@ class Checker:
 
 
 def _as_in_yaml(loc: Keys, data: Any) -> tuple[Keys, Any]:
-    """Pydantic's location without the names of union members, and the value that stands there."""
+    """Pydantic's location of an error without the names of union members, and the value at that location."""
     keys: list[str | int] = []
     node, named = data, False
     for step in loc:

@@ -1,4 +1,4 @@
-"""A spec file as plain data that remembers where every key came from: a line of the file, or a ``--set``."""
+"""Reads a YAML file into plain data, and remembers where every key was written: on a line, or in a ``--set``."""
 
 from __future__ import annotations
 
@@ -9,29 +9,41 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from magiclens.config.suggest import advice, nearest
+from magiclens.config.suggest import advice, nearest_choice
 from magiclens.contract.errors import InputError
 
 Keys = tuple[str | int, ...]
-"""Where a value sits: mapping keys and list indices from the top, such as ("scenario", "targets", 1, "art")."""
+"""The path to a value: mapping keys and list indices from the top, such as ("scenario", "targets", 1, "art")."""
 
 
 @dataclass(frozen=True)
 class Override:
-    """One ``--set key.path=value``; ``keys`` have list indices as integers."""
+    """One ``--set key.path=value``.
+
+    Attributes:
+        text: What was given to ``--set``.
+        keys: The path to the value, list indices as integers.
+    """
 
     text: str
     keys: Keys
 
     @property
     def where(self) -> str:
-        """How an error names this override."""
+        """The override as errors name it."""
         return f"--set {self.text}"
 
 
 @dataclass(frozen=True)
 class Document:
-    """Plain dicts, lists and scalars, and where they were written. ``name`` is the file as the user called it."""
+    """A spec as plain data, and where each part of it was written.
+
+    Attributes:
+        name: The file, as the user wrote its path.
+        data: Plain dicts, lists and scalars, overrides included.
+        lines: The line of every key, counted from 1; empty if the spec was no file.
+        overrides: What was laid over the file, in the order in which it was given.
+    """
 
     name: str
     data: dict[str, Any]
@@ -40,13 +52,14 @@ class Document:
 
     @property
     def folder(self) -> Path:
-        """Paths in the spec are relative to this."""
+        """The folder that paths in the spec are relative to."""
         return Path(self.name).parent
 
     def where(self, at: Keys) -> str:
-        """``file:line`` or ``--set ...`` of a key, or of the nearest enclosing one that was written.
+        """Where a key was written, as errors say it: ``file:line`` or ``--set ...``.
 
-        What was no file has no lines.
+        A key that was not written counts as written where the innermost mapping around it was. A spec that was no file
+        has no lines.
         """
         override = self._override(at)
         if override:
@@ -54,16 +67,16 @@ class Document:
         return f"{self.name}:{self._line(at)}" if self.lines else self.name
 
     def order(self, at: Keys) -> tuple[int, int]:
-        """Sorts keys as they were written: by line, overrides last."""
+        """A sort key that puts keys in the order in which they were written: by line, overrides last."""
         override = self._override(at)
         return (1, self.overrides.index(override)) if override else (0, self._line(at))
 
     def written(self, at: Keys) -> bool:
-        """Whether somebody wrote this key, rather than left it to its default."""
+        """Whether the user wrote this key, in the file or in an override."""
         return at in self.lines or self._override(at) is not None
 
     def get(self, at: Keys) -> Any:
-        """The value at these keys, None if there is none."""
+        """The value at a path; None if there is none."""
         node: Any = self.data
         for key in at:
             node = child(node, key)
@@ -82,7 +95,15 @@ def dotted(at: Keys) -> str:
 
 
 def read_document(path: str | Path, overrides: Iterable[str] = ()) -> Document:
-    """Read a YAML spec and lay the ``key.path=value`` overrides over it. Raises InputError."""
+    """Read a YAML spec and lay overrides over it.
+
+    Args:
+        path: The file; errors name it as it is written here.
+        overrides: Values to change, as text ``key.path=value``; later ones win.
+
+    Raises:
+        InputError: The file cannot be read, is not YAML or holds no mapping, or an override names no key.
+    """
     name = str(path)
     tree = _parse(_read(Path(path)), name)
     lines: dict[Keys, int] = {(): 1}
@@ -94,7 +115,7 @@ def read_document(path: str | Path, overrides: Iterable[str] = ()) -> Document:
 
 
 def document_of(data: Mapping[str, Any], overrides: Iterable[str] = ()) -> Document:
-    """A spec that is data already, such as a dict; tuples are lists, paths are text. Paths in it start here."""
+    """A document of a spec that is a dict already. Tuples become lists; paths in it start at the current folder."""
     copy = _copied(data)
     return Document("spec", copy, {}, tuple(_apply(copy, text) for text in overrides))
 
@@ -121,13 +142,13 @@ def _read(path: Path) -> str:
 
 
 def missing_file(path: Path) -> str:
-    """What to say about a file that is not there, naming one with a similar name."""
-    near = nearest(path.name, (p.name for p in path.parent.iterdir())) if path.parent.is_dir() else None
+    """The message about a file that does not exist; it proposes a file with a similar name."""
+    near = nearest_choice(path.name, (p.name for p in path.parent.iterdir())) if path.parent.is_dir() else None
     return f"there is no file '{path}'" + (f"; did you mean '{path.parent / near}'?" if near else "")
 
 
 def _parse(text: str, name: str) -> Any:
-    """The round-trip tree of a YAML text: it knows line numbers and refuses duplicate keys."""
+    """The round-trip tree of a YAML text, since only that tree knows line numbers."""
     from ruamel.yaml import YAML
     from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
@@ -154,7 +175,7 @@ def _syntax(problem: str, text: str, line: int) -> str:
 
 
 def _plain(node: Any, at: Keys, lines: dict[Keys, int]) -> Any:
-    """Plain Python data of a round-trip tree; fills ``lines``."""
+    """Plain Python data of a round-trip tree; ``lines`` is filled with the line of every key."""
     if isinstance(node, dict):
         return {str(key): _plain(node[key], _mark(node, key, at, lines), lines) for key in node}
     if isinstance(node, list):
@@ -163,12 +184,12 @@ def _plain(node: Any, at: Keys, lines: dict[Keys, int]) -> Any:
 
 
 def _mark(node: Any, key: Any, at: Keys, lines: dict[Keys, int]) -> Keys:
-    """The child's keys, its line noted; keys that a merge (``<<``) brought in have none."""
-    child = (*at, key if isinstance(node, list) else str(key))
-    place = (node.lc.data or {}).get(key)
-    if place:
-        lines[child] = place[0] + 1
-    return child
+    """The path to a child, whose line is noted; keys that a merge (``<<``) brought in have no line."""
+    path = (*at, key if isinstance(node, list) else str(key))
+    position = (node.lc.data or {}).get(key)
+    if position:
+        lines[path] = position[0] + 1
+    return path
 
 
 def _scalar(node: Any) -> Any:
@@ -202,7 +223,7 @@ def _apply(data: dict[str, Any], text: str) -> Override:
 
 
 def _descend(node: Any, key: str | int) -> Any:
-    """The child to walk into; a mapping that is not there is made."""
+    """The value to go on in; a mapping that is missing is made."""
     if isinstance(node, dict) and node.get(str(key)) is None:
         node[key] = {}
     return node[key]
@@ -221,7 +242,7 @@ def _index(node: Any, part: str, at: Keys, where: str) -> str | int:
 
 
 def child(node: Any, key: str | int) -> Any:
-    """The value at one key or index, None if there is none."""
+    """The value at one key or index of a mapping or list; None if there is none."""
     if isinstance(node, dict):
         return node.get(key)
     inside = isinstance(node, list) and isinstance(key, int) and key < len(node)

@@ -1,4 +1,4 @@
-"""How a spec's lens is made: the machine that it names, and what that machine cannot do."""
+"""The machine that a spec names: its defaults for the lens and for stages, and what it cannot make."""
 
 from __future__ import annotations
 
@@ -13,25 +13,31 @@ from magiclens.config.suggest import advice, unknown
 from magiclens.contract.units import ANGLE, LENGTH
 from magiclens.profiles.machines import Machine, Mill, Profile, machines
 
-KEY = "machine"
+_KEY = "machine"
 
 
 @dataclass(frozen=True)
 class Fabrication:
-    """The machine that a spec names, its options laid over the listed ones."""
+    """The machine that makes a spec's lens.
+
+    Attributes:
+        name: The machine's name in the spec.
+        profile: The machine as it is listed, with its defaults.
+        machine: The machine with the spec's options laid over the listed ones.
+    """
 
     name: str
     profile: Profile
     machine: Machine
 
     def lens(self, written: Mapping[str, Any]) -> dict[str, Any]:
-        """The mapping at ``lens`` with the machine's own defaults below what is written."""
+        """The mapping at the key ``lens``: what is written there, laid over the machine's own defaults."""
         usual = {key: value for key, value in self.profile.lens.items() if key != "material" or not written.get("ior")}
         usual = {**self.machine.limits, **usual}
         return {**usual, **{key: value for key, value in written.items() if value is not None or key not in usual}}
 
     def suited(self, scenarios: Mapping[str, Choice], wall_mm: float) -> dict[str, Choice]:
-        """Stages, by kind, that suit scenario and machine; where they want different types, the scenario's."""
+        """Stages by kind that suit both scenario and machine; where they want different types, the scenario decides."""
         own = {kind: dict(usual) for kind, usual in self.profile.stages.items()}
         if isinstance(self.machine, Mill) and "integrator" in own:
             own["integrator"]["step_limit"] = LENGTH.text(round(self.machine.step_mm(wall_mm), 4))
@@ -42,13 +48,13 @@ class Fabrication:
         return both
 
     def resolved(self) -> dict[str, Any]:
-        """The mapping at ``fabrication``, every option explicit."""
-        return {KEY: self.name, **self.machine.model_dump(mode="json", exclude_none=True)}
+        """The mapping at the key ``fabrication`` with every option."""
+        return {_KEY: self.name, **self.machine.model_dump(mode="json", exclude_none=True)}
 
     def objections(self, lens: LensSpec) -> Iterator[tuple[str, str]]:
-        """What the machine cannot do: the key under ``lens``, and why."""
-        able = self.machine
-        least, most = able.thickness
+        """What the machine cannot make: keys of ``lens``, each with the reason."""
+        machine = self.machine
+        least, most = machine.thickness
         if lens.thickness + lens.relief > most:
             room = LENGTH.text(most - lens.relief)
             whole = f"a relief of {LENGTH.text(lens.relief)} makes it {LENGTH.text(lens.thickness + lens.relief)} high"
@@ -56,44 +62,44 @@ class Fabrication:
         if lens.thickness - lens.relief < least:
             thin = f"at its thinnest the lens would be {LENGTH.text(lens.thickness - lens.relief)}"
             yield "thickness", f"{thin}; {self.name} needs at least {LENGTH.text(least)}"
-        if lens.max_slope > able.max_slope:
-            yield "max_slope", self._beyond(ANGLE.text(able.max_slope), ANGLE.text(lens.max_slope), "most")
-        if lens.wall < able.wall:
-            yield "wall", self._beyond(LENGTH.text(able.wall), LENGTH.text(lens.wall), "least")
-        if lens.size / lens.facets < able.feature:
-            fits = max(int(lens.size / able.feature + 1e-9), 1)
+        if lens.max_slope > machine.max_slope:
+            yield "max_slope", self._beyond(ANGLE.text(machine.max_slope), ANGLE.text(lens.max_slope), "most")
+        if lens.wall < machine.wall:
+            yield "wall", self._beyond(LENGTH.text(machine.wall), LENGTH.text(lens.wall), "least")
+        if lens.size / lens.facets < machine.feature:
+            fits = max(int(lens.size / machine.feature + 1e-9), 1)
             narrow = f"facets of {LENGTH.text(lens.size / lens.facets)}"
-            yield "facets", f"{narrow} are below the {LENGTH.text(able.feature)} of {self.name}; at most {fits} fit"
-        if lens.size > max(able.bed[:2]) or lens.size > min(able.bed[:2]):
-            yield "size", self._beyond(LENGTH.text(min(able.bed[:2])), LENGTH.text(lens.size), "most")
-        if isinstance(able, Mill):
-            yield from self._out_of_reach(able, lens)
+            yield "facets", f"{narrow} are below the {LENGTH.text(machine.feature)} of {self.name}; at most {fits} fit"
+        if lens.size > max(machine.bed[:2]) or lens.size > min(machine.bed[:2]):
+            yield "size", self._beyond(LENGTH.text(min(machine.bed[:2])), LENGTH.text(lens.size), "most")
+        if isinstance(machine, Mill):
+            yield from self._out_of_reach(machine, lens)
 
-    def _out_of_reach(self, able: Mill, lens: LensSpec) -> Iterator[tuple[str, str]]:
-        if 2 * lens.relief > able.reach:
-            deep, half = LENGTH.text(2 * lens.relief), LENGTH.text(able.reach / 2)
-            reach = f"the cutter of {self.name} reaches {LENGTH.text(able.reach)}"
+    def _out_of_reach(self, machine: Mill, lens: LensSpec) -> Iterator[tuple[str, str]]:
+        if 2 * lens.relief > machine.reach:
+            deep, half = LENGTH.text(2 * lens.relief), LENGTH.text(machine.reach / 2)
+            reach = f"the cutter of {self.name} reaches {LENGTH.text(machine.reach)}"
             yield "relief", f"the top may be {deep} deep, {reach}; at most {half}"
-        if lens.max_slope > able.steepest_deg:
-            yield "max_slope", self._beyond(ANGLE.text(able.steepest_deg), ANGLE.text(lens.max_slope), "most")
+        if lens.max_slope > machine.steepest_deg:
+            yield "max_slope", self._beyond(ANGLE.text(machine.steepest_deg), ANGLE.text(lens.max_slope), "most")
 
     def _beyond(self, limit: str, got: str, side: str) -> str:
         return f"{self.name} can do {limit} at {side}, got {got}"
 
 
 def find_fabrication(document: Document, checker: Checker) -> Fabrication | None:
-    """The machine at ``fabrication``; None if there is none, or something is wrong with it."""
+    """The machine that a spec names; None if it names none, or if there are mistakes, which are then noted."""
     written = document.data.get("fabrication")
     if not isinstance(written, dict):
         return None
-    known, name = machines(), written.get(KEY)
+    known, name = machines(), written.get(_KEY)
     if name is None:
-        checker.add(("fabrication", KEY), f"this key is required; {advice('', known)}")
+        checker.add(("fabrication", _KEY), f"this key is required; {advice('', known)}")
         return None
     profile = known.get(str(name))
     if profile is None:
-        checker.add(("fabrication", KEY), unknown("machine", name, known))
+        checker.add(("fabrication", _KEY), unknown("machine", name, known))
         return None
-    options = {key: value for key, value in written.items() if key != KEY}
+    options = {key: value for key, value in written.items() if key != _KEY}
     machine = checker.validate(profile.model, {**profile.options, **options}, ("fabrication",))
     return Fabrication(str(name), profile, machine) if machine else None

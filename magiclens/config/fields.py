@@ -1,4 +1,4 @@
-"""Field types that look things up while a spec is validated: files beside it and names that plugins contribute."""
+"""Types of fields that are checked against the world around a spec: files beside it, and art of plugins."""
 
 from __future__ import annotations
 
@@ -21,17 +21,22 @@ from magiclens.contract.errors import InputError
 
 
 class Context(TypedDict, total=False):
-    """What the validators of this module need to know; pydantic hands it to them."""
+    """What pydantic hands to the validators of this module.
+
+    Attributes:
+        folder: The folder that paths in the spec are relative to; the current one if it is missing.
+        art: Names of pictures; not checked if it is missing.
+    """
 
     folder: Path
     art: Collection[str]
 
 
 class Inputs(dict[Path, str]):
-    """Collects the files a spec uses while it is dumped, and gives each a path that a run folder can keep it under."""
+    """Collects the files that a spec names while it is dumped, each with its path in a run folder."""
 
     def portable(self, path: Path) -> str:
-        """``inputs/<name>``, the same for the same file, different for files of equal names."""
+        """A file's path in a run folder, ``inputs/<name>``; files of equal names get different ones."""
         if path not in self:
             taken = set(self.values())
             names = (f"inputs/{path.stem}{f'-{n}' if n else ''}{path.suffix}" for n in range(len(taken) + 1))
@@ -81,13 +86,13 @@ _FILE: dict[str, Any] = {"type": "string", "minLength": 1}
 InputFile = Annotated[
     Path, BeforeValidator(_find), PlainSerializer(_dump, return_type=str, when_used="json"), WithJsonSchema(_FILE)
 ]
-"""A file that exists; relative paths start at the spec's folder, an absolute path inside."""
+"""A file that exists: in a spec, a path relative to its folder; inside, an absolute path."""
 
 ImageFile = Annotated[InputFile, AfterValidator(_picture)]
 """A picture file that can be read."""
 
 ART_FORMAT = "magic-lens-art"
-"""Marks names of art in a JSON Schema until it is known which there are."""
+"""The ``format`` of names of art in JSON Schemas, until the names are known and replace it."""
 
 ArtName = Annotated[str, AfterValidator(_known_art), WithJsonSchema({"type": "string", "format": ART_FORMAT})]
 """The name of a built-in picture or of one that a plugin contributes."""

@@ -1,4 +1,4 @@
-"""From a spec file to a validated spec."""
+"""Loads a spec file into a validated spec."""
 
 from __future__ import annotations
 
@@ -12,9 +12,14 @@ from magiclens.config.model import Spec
 
 
 def load_spec(path: str | Path, overrides: Iterable[str] = ()) -> Spec:
-    """The spec in a YAML file, ``key.path=value`` overrides laid over it; scenario and stages are not resolved.
+    """Load a spec. Its scenario and stages stay mappings: ``load_plan`` resolves those.
 
-    Raises InputError naming file, line, key, what is wrong and the nearest valid choice.
+    Args:
+        path: The spec, a YAML file.
+        overrides: Values to change, as text ``key.path=value``, such as ``lens.facets=64``.
+
+    Raises:
+        InputError: The spec has a mistake. The message names file, line and key, and proposes what to write.
     """
     document = read_document(path, overrides)
     checker = Checker(document, {"folder": document.folder})
@@ -22,9 +27,15 @@ def load_spec(path: str | Path, overrides: Iterable[str] = ()) -> Spec:
 
 
 def check_spec(document: Document, checker: Checker, fabrication: Fabrication | None) -> Spec | None:
-    """Validate everything but the scenario's and the stages' own options; named after the file by default.
+    """Validate everything but the options of scenario and stages.
 
-    A machine says what the lens is like where the spec does not, and what it cannot be.
+    Args:
+        document: The spec as it was read; its file's name is the default of the spec's name.
+        checker: Notes the mistakes.
+        fabrication: The machine that the spec names. It has defaults of its own for the lens, and limits.
+
+    Returns:
+        The spec; None if it has mistakes.
     """
     data = {"name": default_name(document), **document.data}
     lens = data.get("lens") or {}
@@ -37,6 +48,6 @@ def check_spec(document: Document, checker: Checker, fabrication: Fabrication | 
 
 
 def default_name(document: Document) -> str:
-    """The file's name without its ending, what no folder should be called replaced."""
+    """The name of a spec that has none: its file's, without the ending and without letters that folders cannot have."""
     kept = "".join(c if c.isascii() and (c.isalnum() or c in "._ -") else "-" for c in Path(document.name).stem)
     return kept.lstrip("._ -") or "lens"

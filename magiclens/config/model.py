@@ -1,4 +1,4 @@
-"""What a spec may say. Scenario and stages stay plain mappings: which there are is known to the registry only."""
+"""The models of a spec. Scenario and stages stay plain mappings, since only the registry knows which there are."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
-from magiclens.config.suggest import shown, unknown
+from magiclens.config.suggest import quoted, unknown
 from magiclens.contract.artifacts import FloatArray, Lens
 from magiclens.contract.units import FRACTION, LENGTH, Angle, Fraction, Length
 from magiclens.profiles.materials import materials
@@ -25,13 +25,13 @@ LISTED_STAGES = {"exporters": "exporter", "renderers": "renderer"}
 
 
 class SpecModel(BaseModel):
-    """Base of the models that a spec is made of: unknown keys are errors, values do not change."""
+    """Base of the models of a spec: unknown keys are errors, and values cannot be changed."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
 
 
 def _material_names(schema: dict[str, Any]) -> None:
-    """Lists the materials in a JSON Schema."""
+    """List the materials in a JSON Schema."""
     schema["anyOf"] = [{"enum": [*materials()]}, {"type": "null"}]
 
 
@@ -94,7 +94,7 @@ class LensSpec(SpecModel):
         return data
 
     def build(self) -> Lens:
-        """The lens, with a source as large as itself."""
+        """The lens, with a source of the same size; scenarios that need a larger one enlarge it."""
         ior = materials()[self.material].ior if self.material else self.ior
         return Lens(
             size_mm=self.size,
@@ -126,16 +126,16 @@ class Viewer(SpecModel):
 def _choice(value: object) -> object:
     if not isinstance(value, dict):
         example = value if isinstance(value, str) else "name"
-        raise ValueError(f"expected a mapping such as {{type: {example}}}, got {shown(value)}")
+        raise ValueError(f"expected a mapping such as {{type: {example}}}, got {quoted(value)}")
     return value
 
 
 Choice = Annotated[dict[str, Any], BeforeValidator(_choice)]
-"""A mapping with a ``type`` and the options of that type, not resolved yet."""
+"""A mapping with a ``type`` and the options of that type, before the registry is asked for the type."""
 
 
 class Medium(SpecModel):
-    """How dark and how bright the sheet or the screen gets that shows the source: a printed black is not 0."""
+    """What shows the source, paper or a screen: how dark its black is and how bright its white."""
 
     black: Fraction = Field("0%", validate_default=True, ge=0, lt=1, description="light that black reflects")
     white: Fraction = Field("100%", validate_default=True, gt=0, le=1, description="light that white reflects")
@@ -149,7 +149,14 @@ class Medium(SpecModel):
         return value
 
     def shown(self, linear: FloatArray) -> FloatArray:
-        """What is seen of a picture in linear light, of any shape; 1 is the medium's white, to which the eye adapts."""
+        """A picture as the medium shows it.
+
+        Args:
+            linear: Linear light of any shape, 0 to 1.
+
+        Returns:
+            Float32 of the same shape, where 1 is the medium's white, since the eye adapts to that.
+        """
         darkest = self.black / self.white
         seen: FloatArray = np.float32(darkest) + np.float32(1 - darkest) * linear
         return seen
@@ -157,12 +164,12 @@ class Medium(SpecModel):
 
 def _machine(value: object) -> object:
     if value is not None and not isinstance(value, dict):
-        raise ValueError(f"expected a mapping such as {{machine: printing}}, got {shown(value)}")
+        raise ValueError(f"expected a mapping such as {{machine: printing}}, got {quoted(value)}")
     return value
 
 
-Making = Annotated[dict[str, Any] | None, BeforeValidator(_machine)]
-"""A mapping with a ``machine`` and options of that machine, not resolved yet."""
+MachineChoice = Annotated[dict[str, Any] | None, BeforeValidator(_machine)]
+"""A mapping with a ``machine`` and the options of that machine, before the machine is looked up."""
 
 
 class PipelineSpec(SpecModel):
@@ -184,7 +191,17 @@ class PipelineSpec(SpecModel):
     )
 
     def choice(self, kind: str, suited: Mapping[str, Choice]) -> Choice | None:
-        """The stage of a kind: as written, over what suits the scenario, over the default; None for no encoder."""
+        """The mapping of the stage of a kind.
+
+        What is written is laid over what suits the scenario, as long as both have the same type.
+
+        Args:
+            kind: A kind of which there is one stage.
+            suited: Stages that suit the scenario and the machine, by kind.
+
+        Returns:
+            A type and its options; None if no encoder is wanted.
+        """
         written: Choice | None = getattr(self, kind)
         wanted = kind in DEFAULT_STAGES or kind in suited or written is not None or self.codesign > 0
         if not wanted:
@@ -203,5 +220,5 @@ class Spec(SpecModel):
     lens: LensSpec = Field(default_factory=LensSpec, description="the slab")
     viewer: Viewer = Field(default_factory=Viewer, description="the eye")
     medium: Medium | None = Field(None, description="black and white of what shows the source; ideal ones if left out")
-    fabrication: Making = Field(None, description="the machine that makes the lens: its limits hold")
+    fabrication: MachineChoice = Field(None, description="the machine that makes the lens: its limits hold")
     pipeline: PipelineSpec = Field(default_factory=PipelineSpec, description="the stages")

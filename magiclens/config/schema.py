@@ -1,4 +1,4 @@
-"""The JSON Schema of specs, for editors; draft 7, which all of them read."""
+"""The JSON Schema of specs, for editors. It is draft 7, which all editors read."""
 
 from __future__ import annotations
 
@@ -14,27 +14,33 @@ from magiclens.config.model import DEFAULT_STAGES, LISTED_STAGES, Spec
 from magiclens.contract.units import LengthOrPercent
 from magiclens.profiles.machines import PROCESSES, machines
 
-Classes = Mapping[str, type[BaseModel]]
+_Classes = Mapping[str, type[BaseModel]]
 """Models by the ``type`` that a spec picks them by."""
 
-DRAFT = "http://json-schema.org/draft-07/schema#"
-REF = "#/definitions/"
-ART = "ArtName"
-SINGLE = (*DEFAULT_STAGES, "encoder")
-"""Kinds of which a pipeline has one stage; it may have options without a ``type``."""
+_DRAFT = "http://json-schema.org/draft-07/schema#"
+_REF = "#/definitions/"
+_ART_DEFINITION = "ArtName"
+_SINGLE_STAGES = (*DEFAULT_STAGES, "encoder")
+"""Kinds of which a pipeline has one stage; its mapping may have options without a ``type``."""
 
 
 class Draft7(GenerateJsonSchema):
-    """Pydantic's generator, with defaults as a spec writes them."""
+    """Pydantic's generator of JSON Schemas, with defaults as a spec writes them."""
 
     def encode_default(self, dft: Any) -> Any:
-        """Text for what a spec writes as text."""
+        """The default of a field, as text if a spec writes it as text."""
         return str(dft) if isinstance(dft, LengthOrPercent) else super().encode_default(dft)
 
 
-def json_schema(scenarios: Classes, stages: Mapping[str, Classes], art: Iterable[str]) -> dict[str, Any]:
-    """The schema of a whole spec; ``stages`` is by kind."""
-    spec = Spec.model_json_schema(ref_template=f"{REF}{{model}}", schema_generator=Draft7)
+def json_schema(scenarios: _Classes, stages: Mapping[str, _Classes], art: Iterable[str]) -> dict[str, Any]:
+    """The schema of a whole spec.
+
+    Args:
+        scenarios: Scenarios by type.
+        stages: By kind, the stages of that kind by type.
+        art: Names of all pictures.
+    """
+    spec = Spec.model_json_schema(ref_template=f"{_REF}{{model}}", schema_generator=Draft7)
     definitions = spec.pop("$defs")
     for noun, classes in {"scenario": scenarios, **stages}.items():
         for type_, cls in classes.items():
@@ -44,25 +50,25 @@ def json_schema(scenarios: Classes, stages: Mapping[str, Classes], art: Iterable
     _set(spec["properties"]["scenario"], _one_of("scenario", scenarios))
     _set(spec["properties"]["fabrication"], {**_one_of("machine", PROCESSES), "type": "object"})
     pipeline = definitions["PipelineSpec"]["properties"]
-    for kind in SINGLE:
+    for kind in _SINGLE_STAGES:
         _set(pipeline[kind], _any_of(kind, stages[kind]))
     for key, kind in LISTED_STAGES.items():
         pipeline[key]["items"] = _one_of(kind, stages[kind])
-    whole = {"$schema": DRAFT, **spec, "title": "magic lens spec"}
-    return {**_old_words(whole), "definitions": {**_old_words(definitions), ART: {"enum": sorted(art)}}}
+    whole = {"$schema": _DRAFT, **spec, "title": "magic lens spec"}
+    return {**_as_draft_7(whole), "definitions": {**_as_draft_7(definitions), _ART_DEFINITION: {"enum": sorted(art)}}}
 
 
 def _definition(noun: str, type_: str, cls: type[BaseModel]) -> dict[str, Any]:
     """The options of one class and the ``type`` that picks it, its own definitions inside."""
-    template = f"{REF}{noun}-{type_}/definitions/{{model}}"
+    template = f"{_REF}{noun}-{type_}/definitions/{{model}}"
     try:
         schema = cls.model_json_schema(ref_template=template, schema_generator=Draft7)
-    except PydanticInvalidForJsonSchema:  # a plugin's, with options that JSON has no words for
+    except PydanticInvalidForJsonSchema:  # an option of a plugin has a type that JSON does not have
         schema = {"type": "object"}
     return {
         **schema,
         "properties": {"type": {"const": type_}, **schema.get("properties", {})},
-        "required": [*([] if noun in SINGLE else ["type"]), *schema.get("required", [])],
+        "required": [*([] if noun in _SINGLE_STAGES else ["type"]), *schema.get("required", [])],
         "definitions": schema.get("$defs", {}),
     }
 
@@ -74,30 +80,30 @@ def _machine(process: str, model: type[BaseModel]) -> dict[str, Any]:
     return {**schema, "properties": {"machine": {"enum": names}, **schema["properties"]}, "required": ["machine"]}
 
 
-def _one_of(noun: str, classes: Classes) -> dict[str, Any]:
-    choices = [{"$ref": f"{REF}{noun}-{type_}"} for type_ in sorted(classes)]
+def _one_of(noun: str, classes: _Classes) -> dict[str, Any]:
+    choices = [{"$ref": f"{_REF}{noun}-{type_}"} for type_ in sorted(classes)]
     return {"oneOf": choices} if choices else {"type": "object"}
 
 
-def _any_of(kind: str, classes: Classes) -> dict[str, Any]:
+def _any_of(kind: str, classes: _Classes) -> dict[str, Any]:
     return {"anyOf" if key == "oneOf" else key: value for key, value in _one_of(kind, classes).items()}
 
 
 def _set(schema: dict[str, Any], choice: dict[str, Any]) -> None:
-    """Replace what a value may be, keep what is said about it."""
+    """Replace what a value may be; its title and description stay."""
     kept = {key: schema[key] for key in ("title", "description") if key in schema}
     schema.clear()
     schema.update(kept | choice)
 
 
-def _old_words(node: Any) -> Any:
-    """Draft 2020-12 as draft 7 says it; keywords of OpenAPI go."""
+def _as_draft_7(node: Any) -> Any:
+    """A schema of draft 2020-12 in the words of draft 7, without the keywords of OpenAPI."""
     if isinstance(node, list):
-        return [_old_words(item) for item in node]
+        return [_as_draft_7(item) for item in node]
     if not isinstance(node, dict):
         return node
     if node.get("format") == ART_FORMAT:
-        return {"$ref": f"{REF}{ART}"}
+        return {"$ref": f"{_REF}{_ART_DEFINITION}"}
     gone = {"$defs"} | ({"discriminator"} if "oneOf" in node else set())
     renamed = {"prefixItems": "items"} if node.get("type") == "array" else {}
-    return {renamed.get(key, key): _old_words(value) for key, value in node.items() if key not in gone}
+    return {renamed.get(key, key): _as_draft_7(value) for key, value in node.items() if key not in gone}

@@ -1,4 +1,4 @@
-"""Says in a sentence what pydantic found wrong, and what to write instead."""
+"""Turns errors of pydantic into sentences that say what is wrong and what to write instead."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from pydantic import BaseModel
 from pydantic_core import ErrorDetails
 
 from magiclens.config.document import Keys
-from magiclens.config.suggest import advice, shown
+from magiclens.config.suggest import advice, quoted
 from magiclens.contract.units import ANGLE, FRACTION, LENGTH
 
-NUMBER = "expected a number, got {input}"
-WHOLE = "expected a whole number, got {input}"
-TEXT = "expected text, got {input}"
-FLAG = "expected true or false, got {input}"
-LIST = "expected a list such as [a, b], got {input}"
-MAPPING = "expected a mapping such as {{key: value}}, got {input}"
+_NUMBER = "expected a number, got {input}"
+_WHOLE = "expected a whole number, got {input}"
+_TEXT = "expected text, got {input}"
+_FLAG = "expected true or false, got {input}"
+_LIST = "expected a list such as [a, b], got {input}"
+_MAPPING = "expected a mapping such as {{key: value}}, got {input}"
 
-SENTENCES = {
+_SENTENCES = {
     "missing": "this key is required",
     "union_tag_not_found": "the key 'type' is required; choose one of: {tags}",
     "greater_than": "must be more than {gt}, got {input}",
@@ -30,17 +30,25 @@ SENTENCES = {
     "too_short": "needs at least {min_length}, has {actual_length}",
     "too_long": "takes at most {max_length}, has {actual_length}",
     "string_pattern_mismatch": "{input} is not allowed here; it must match {pattern}",
-    **dict.fromkeys(("int_type", "int_parsing", "int_from_float"), WHOLE),
-    **dict.fromkeys(("float_type", "float_parsing", "finite_number"), NUMBER),
-    **dict.fromkeys(("bool_type", "bool_parsing"), FLAG),
-    **dict.fromkeys(("list_type", "tuple_type"), LIST),
-    **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), MAPPING),
-    "string_type": TEXT,
+    **dict.fromkeys(("int_type", "int_parsing", "int_from_float"), _WHOLE),
+    **dict.fromkeys(("float_type", "float_parsing", "finite_number"), _NUMBER),
+    **dict.fromkeys(("bool_type", "bool_parsing"), _FLAG),
+    **dict.fromkeys(("list_type", "tuple_type"), _LIST),
+    **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), _MAPPING),
+    "string_type": _TEXT,
 }
+"""Sentences by pydantic's error type, with placeholders for its context, the quoted input and the allowed tags."""
 
 
 def sentence(error: ErrorDetails, written: Any, model: type[BaseModel], noun: str) -> str:
-    """What is wrong with a value. ``written`` is the value as the spec has it, ``noun`` what its keys are called."""
+    """What is wrong with a value, in a sentence.
+
+    Args:
+        error: One of the errors that pydantic found.
+        written: The value as the spec has it.
+        model: The model that the spec was validated with.
+        noun: What a key of this model is called, such as ``option``.
+    """
     context = error.get("ctx", {})
     kind = error["type"]
     if kind == "extra_forbidden":
@@ -48,16 +56,21 @@ def sentence(error: ErrorDetails, written: Any, model: type[BaseModel], noun: st
     if kind == "value_error":
         return str(context["error"])
     if kind in ("literal_error", "enum"):
-        return f"{written!r} is not allowed; {advice(written, _quoted(context['expected']))}"
+        return f"{written!r} is not allowed; {advice(written, _words_in_quotes(context['expected']))}"
     if kind == "union_tag_invalid":
-        return f"unknown type {context['tag']!r}; {advice(context['tag'], _quoted(context['expected_tags']))}"
+        return f"unknown type {context['tag']!r}; {advice(context['tag'], _words_in_quotes(context['expected_tags']))}"
     bounds = {name: _as_written(bound, written) for name, bound in context.items()}
     tags = ", ".join(_tags(model, error["loc"]))
-    return SENTENCES.get(kind, f"{error['msg']}, got {{input}}").format(**bounds, tags=tags, input=shown(written))
+    return _SENTENCES.get(kind, f"{error['msg']}, got {{input}}").format(**bounds, tags=tags, input=quoted(written))
 
 
 def keys_at(model: type[BaseModel], at: Keys) -> list[str]:
-    """The keys that a mapping may have, where ``at`` leads from a model to that mapping (pydantic's ``loc``)."""
+    """The keys that a mapping may have.
+
+    Args:
+        model: The model of the outermost mapping.
+        at: Where the mapping is in it, as in pydantic's ``loc``.
+    """
     return [key for found in _models_at(model, at) for key in found.model_fields]
 
 
@@ -87,12 +100,12 @@ def _tags(model: type[BaseModel], at: Keys) -> list[str]:
     return sorted(str(tag) for found in _models_at(model, at) for tag in _tag(found))
 
 
-def _quoted(text: str) -> list[str]:
+def _words_in_quotes(text: str) -> list[str]:
     return re.findall(r"'([^']*)'", text)
 
 
 def _as_written(bound: Any, written: Any) -> Any:
-    """A bound in the unit in which the value was written."""
+    """A bound in a unit of the kind in which the value was written."""
     if not isinstance(bound, int | float) or not isinstance(written, str):
         return bound
     for quantity in (FRACTION, ANGLE, LENGTH):

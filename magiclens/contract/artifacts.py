@@ -1,10 +1,20 @@
-"""What flows from stage to stage: small frozen dataclasses of read-only arrays.
+"""The data that stages exchange: small frozen dataclasses of read-only arrays.
 
-Frames (the whole package): millimetres and degrees; right-handed world with its origin at the centre of
-the slab's flat bottom (z = 0), +z toward the viewer, +x right, +y up as the viewer sees it. The source
-lies at z = -gap, the *reference plane* at z = thickness. Arrays over the lens are ``[i, j]`` with i along
-the image's rows (row 0 is +y) and j along its columns (column 0 is -x). Vectors are (x, y[, z]), +y up.
-The *lens frame* is glued to the lens; the world frame is the viewer's. They differ by the lens rotation.
+These conventions hold in the whole package:
+
+- Lengths are millimetres, angles are degrees.
+- The *world frame* is right-handed. Its origin is the centre of the lens's flat bottom; +z points toward the viewer,
+  +x to the right and +y up, as the viewer sees it. The source lies at z = -gap. The *reference plane*, at
+  z = thickness, is the mean height of the lens's top, and targets are what the eye sees on it.
+- The *lens frame* turns with the lens, and is the world frame at rotation 0. A lens rotation is counter-clockwise, as
+  the viewer sees it, about z.
+- Arrays over the lens or over a picture are ``[i, j]``: i grows with the rows of the picture (row 0 is at +y) and j
+  with its columns (column 0 is at -x). Vectors are (x, y) or (x, y, z) with +y up, so that i grows toward -y.
+- Light is linear, 0 to 1; comparisons are made in display values (sRGB), as the paper does.
+
+In shapes, N is the number of facets along a side, m the number of micro-facets along a side of a facet, K the number of
+candidates of a facet, and C the number of channels, 1 (grey) or 3 (RGB). Numbers in brackets, such as (4.2), are
+sections and equations of Papas et al., "The Magic Lens: Refractive Steganography" (ACM Trans. Graph. 31(6), 2012).
 """
 
 from __future__ import annotations
@@ -21,12 +31,17 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 FloatArray = NDArray[np.floating]
+"""An array of floats, of any precision."""
+
 IntArray = NDArray[np.integer]
+"""An array of whole numbers, of any size."""
+
 BoolArray = NDArray[np.bool_]
+"""An array of truth values."""
 
 
 class _ReadOnly:
-    """Mixin: arrays of a frozen dataclass are made read-only, mappings immutable, wherever it is sent."""
+    """Mixin that makes arrays of a frozen dataclass read-only and its mappings immutable, in every process."""
 
     def __post_init__(self) -> None:
         for f in fields(self):  # type: ignore[arg-type]
@@ -37,20 +52,32 @@ class _ReadOnly:
                 object.__setattr__(self, f.name, MappingProxyType(dict(value)))
 
     def __reduce__(self) -> tuple[type[Any], tuple[Any, ...]]:
-        """Pickled as its fields, so that it can be sent to other processes and is read-only there too."""
+        """Pickle the fields, since arrays would not stay read-only and immutable mappings cannot be pickled."""
         values = (getattr(self, f.name) for f in fields(self))  # type: ignore[arg-type]
         return type(self), tuple(dict(v) if isinstance(v, MappingProxyType) else v for v in values)
 
 
 @dataclass(frozen=True)
 class Lens:
-    """The slab that is to be designed, before any of its facets has a shape.
+    """The lens that is to be designed, before any of its facets has a shape.
 
-    ``relief_mm`` bounds how far the top may leave the reference plane, ``wall_mm`` is the width of the
-    strip between two facets, ``max_slope_deg`` bounds the angle between a facet's normal and +z.
-    ``cells`` says along what facets are cut: ``eye`` rays (steps are edge-on and invisible) or ``vertical``.
-    Tilted eyes look past the edge of what stands low and against the sides: so the outer facets go on for ``bleed_mm``
-    beyond the lens's square, and the slab's sides lean out to a flat bottom of at least the side ``floor_mm``.
+    Attributes:
+        size_mm: Side of the lens's square on the reference plane.
+        source_size_mm: Side of the source, which is centred below the lens.
+        facets: Number N of facets along a side.
+        microfacets: Number m of flat micro-facets along a side of a facet.
+        thickness_mm: Height of the reference plane above the flat bottom.
+        gap_mm: Height of the air gap between the source and the flat bottom.
+        ior: Index of refraction of the lens's material; air has 1.
+        wall_mm: Width of the strip, the wall, between two facets.
+        relief_mm: Allowed height range of the top: a vertex is at most this far above or below the reference plane.
+        max_slope_deg: Largest angle allowed between the normal of a micro-facet and +z.
+        cells: What facets are cut along. With ``eye``, the walls between facets lie along rays from the eye, which sees
+            them edge-on and so not at all; with ``vertical``, facets are upright prisms.
+        bleed_mm: How far the outer facets go on beyond the lens's square. A tilted eye looks past the edge of facets
+            that are lower than the reference plane, and shall not see the lens end there.
+        floor_mm: Least side of the flat bottom. The sides of the slab lean out to it, so that a tilted eye looks at the
+            source and not at a side.
     """
 
     size_mm: float = 100.0
@@ -69,24 +96,30 @@ class Lens:
 
     @property
     def pitch_mm(self) -> float:
-        """Distance between the centres of two neighbouring facets on the reference plane."""
+        """Distance between the centres of two neighbouring facets on the reference plane, mm."""
         return self.size_mm / self.facets
 
     def facet_centres_mm(self) -> FloatArray:
-        """(N, N, 2) float64: x and y of each facet's centre on the reference plane, +y up."""
+        """Centres of the facets on the reference plane: (N, N, 2) float64 as (x, y), mm, lens frame."""
         c = (np.arange(self.facets) + 0.5) * self.pitch_mm - self.size_mm / 2
         return np.stack(np.broadcast_arrays(c[None, :], -c[:, None]), axis=-1)
 
     def cut_along(self, eye_mm: FloatArray) -> FloatArray | None:
-        """The eye along whose rays facets are cut, if this is the reference eye; None where they are cut vertically."""
+        """The eye along whose rays facets are cut; None if they are cut vertically.
+
+        Args:
+            eye_mm: The eye that facets are designed for: (3,) float64, mm, lens frame.
+        """
         return None if self.cells == "vertical" else eye_mm
 
 
-class Seen:
-    """Mixin: from where the lens is seen, and how it is turned.
+class Viewpoint:
+    """Mixin of what is seen from an eye, through a lens that may be turned.
 
-    eye_mm: (3,) float64, world frame. rotation_deg: lens rotation, counter-clockwise as the viewer sees it, in quarter
-    turns.
+    Attributes:
+        eye_mm: Position of the eye, a pinhole: (3,) float64, mm, world frame.
+        rotation_deg: The lens's rotation, counter-clockwise as the viewer sees it: a multiple of 90. The source and the
+            eye do not turn.
     """
 
     eye_mm: FloatArray
@@ -94,25 +127,32 @@ class Seen:
 
     @property
     def quarter_turns(self) -> int:
-        """How many counter-clockwise quarter turns the lens has made."""
+        """Number of counter-clockwise quarter turns of the lens, 0 to 3."""
         return round(self.rotation_deg / 90.0) % 4
 
     @property
     def eye_in_lens_frame_mm(self) -> FloatArray:
-        """(3,) float64: the eye as an observer who turns with the lens sees it."""
+        """Position of the eye in the lens frame: (3,) float64, mm."""
         c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[self.quarter_turns]
         x, y, z = self.eye_mm
         return np.array([c * x + s * y, -s * x + c * y, z])
 
 
 @dataclass(frozen=True)
-class View(Seen, _ReadOnly):
-    """One thing the lens must show: through the lens, this eye sees ``target`` when ``source`` lies below.
+class View(Viewpoint, _ReadOnly):
+    """One picture that the lens must show: through it, the eye sees ``target`` when ``source`` lies below.
 
-    source: (H, W, C) float32, linear light, covers ``Lens.source_size_mm`` centred on the lens.
-    target: (H, W, C) float32, linear light, covers the lens's square on the reference plane.
-    C is 1 (grey) or 3 (RGB), the same in every view of a scene. Both are in the world frame.
-    ``source_name`` and ``target_name`` name the files in the run folder; views may share a source.
+    Every scenario is a list of views (4.6). All views of a scene have the same number C of channels.
+
+    Attributes:
+        name: The view's name in the run folder.
+        source: The source: (H, W, C) float32, linear light, world frame. It is a square of ``Lens.source_size_mm``.
+        target: The target: (H, W, C) float32, linear light, world frame. It covers the lens's square on the reference
+            plane.
+        eye_mm: See ``Viewpoint``.
+        rotation_deg: See ``Viewpoint``.
+        source_name: Name of the source's file in the run folder; views with equal names share one source.
+        target_name: Name of the target's file in the run folder.
     """
 
     name: str
@@ -124,7 +164,7 @@ class View(Seen, _ReadOnly):
     target_name: str = "target"
 
     def in_lens_frame(self) -> View:
-        """The same view seen by an observer who turns with the lens: rotation 0, images and eye turned back."""
+        """The same view in the lens frame: the rotation is 0; source, target and eye are turned back instead."""
         k = self.quarter_turns
         return View(
             self.name,
@@ -139,10 +179,13 @@ class View(Seen, _ReadOnly):
 
 @dataclass(frozen=True)
 class Scene(_ReadOnly):
-    """A lens to design and everything it must show.
+    """A lens to design and everything that it must show.
 
-    reserved: (H, W) bool, world frame, covers the source: where no facet of a universal lens may look and no encoder
-    may paint (5.1); None reserves nothing.
+    Attributes:
+        lens: The lens.
+        views: What it must show, at least one view.
+        reserved: Pixels of the source to which no facet of a universal lens may map and which no encoder may paint
+            (5.1): (H, W) bool, world frame. It covers the source, in a resolution of its own; None reserves nothing.
     """
 
     lens: Lens
@@ -151,13 +194,13 @@ class Scene(_ReadOnly):
 
     @property
     def reference_eye_mm(self) -> FloatArray:
-        """(3,) float64, lens frame: the eye that facets are designed for (mean of all eyes)."""
+        """The eye that facets are designed for, the mean of all eyes: (3,) float64, mm, lens frame."""
         eye: FloatArray = np.mean([v.eye_in_lens_frame_mm for v in self.views], axis=0)
         return eye
 
     @property
     def cut_eye_mm(self) -> FloatArray | None:
-        """(3,) float64, lens frame: the eye along whose rays facets are cut; None where they are cut vertically."""
+        """The eye along whose rays facets are cut: (3,) float64, mm, lens frame; None if they are cut vertically."""
         return self.lens.cut_along(self.reference_eye_mm)
 
 
@@ -165,14 +208,20 @@ class Scene(_ReadOnly):
 class Candidates(_ReadOnly):
     """Up to K facet-patch transformations per facet (4.2), best first.
 
-    A point at p from its facet's centre c (both on the reference plane, mm, +y up) sees the source point
-    ``c + offset + M p`` with M = [[xx, xy], [xy, yy]], symmetric because a lenslet's displacement field is
-    a gradient. M = identity shows the source unmagnified, negative entries show it mirrored.
+    A facet-patch transformation says which patch of the source a facet shows. Through the point ``c + p`` of the
+    reference plane, where c is the facet's centre, the eye sees the source at ``c + offset + M p``, with the *map*
+    M = [[xx, xy], [xy, yy]]. M is symmetric because the displacement field of a lenslet is a gradient. The identity
+    shows the patch at its own size, smaller entries magnify it, and negative ones show it mirrored.
 
-    offsets_mm: (N, N, K, 2) float32. maps: (N, N, K, 3) float32 as (xx, xy, yy).
-    errors: (N, N, K) float32, mean squared difference of display values (0..1), the distance term included;
-    inf where a facet has fewer than K candidates. heights_mm: (N, N), where facets stand for whom the errors hold, for
-    matchers that care; None is the reference plane.
+    Attributes:
+        offsets_mm: Offsets from each facet's centre to the centre of its patch: (N, N, K, 2) float32 as (x, y), mm,
+            lens frame.
+        maps: The maps M: (N, N, K, 3) float32 as (xx, xy, yy), without unit, lens frame.
+        errors: Mean squared differences of display values (0 to 1) between patch and tile of the target, plus the
+            distance term of (4.2): (N, N, K) float32. They ascend; inf fills the list of a facet that has fewer than K.
+        metrics: Numbers for the manifest, by name.
+        heights_mm: Heights of the facets above the reference plane for which the errors are right: (N, N) float64;
+            None for the reference plane itself.
     """
 
     offsets_mm: FloatArray
@@ -184,9 +233,14 @@ class Candidates(_ReadOnly):
 
 @dataclass(frozen=True)
 class Assignment(_ReadOnly):
-    """One facet-patch transformation per facet, as chosen by an annealer.
+    """One facet-patch transformation per facet, chosen from the candidates (4.4).
 
-    choice: (N, N) int64, index into the candidates. offsets_mm: (N, N, 2), maps: (N, N, 3), errors: (N, N).
+    Attributes:
+        choice: Index of the chosen candidate of each facet: (N, N) int64.
+        offsets_mm: The chosen offsets: (N, N, 2), as in ``Candidates``.
+        maps: The chosen maps: (N, N, 3), as in ``Candidates``.
+        errors: The chosen candidates' errors: (N, N), as in ``Candidates``.
+        metrics: Numbers for the manifest, by name.
     """
 
     choice: IntArray
@@ -197,7 +251,13 @@ class Assignment(_ReadOnly):
 
     @classmethod
     def pick(cls, candidates: Candidates, choice: IntArray, metrics: Mapping[str, float] | None = None) -> Assignment:
-        """The assignment that takes candidate ``choice[i, j]`` at facet (i, j)."""
+        """Make the assignment of some choice.
+
+        Args:
+            candidates: The candidates to choose from.
+            choice: Index of the chosen candidate of each facet: (N, N) whole numbers.
+            metrics: Numbers for the manifest, by name.
+        """
         i, j = np.indices(choice.shape)
         return cls(
             np.array(choice, np.int64),
@@ -210,13 +270,19 @@ class Assignment(_ReadOnly):
 
 @dataclass(frozen=True)
 class HeightField(_ReadOnly):
-    """The lens's top: one grid of (m + 1) x (m + 1) heights per facet, cut along rays from ``eye_mm`` or vertically.
+    """The top of the lens: a grid of (m + 1) x (m + 1) vertices per facet (4.5).
 
-    A vertex at (u, v) on the reference plane with height h lies at ``eye + exp(-h / D) * (q - eye)``, where
-    q = (u, v, thickness) and D is the eye's distance from the reference plane; so it moves along its eye ray
-    and h is, to first order, its height above the plane. With vertical cells it lies at (u, v, thickness + h).
+    With cells along eye rays, the vertex of the point q = (u, v, thickness) of the reference plane lies at
+    ``eye + exp(-h / D) * (q - eye)``, where h is its height and D the eye's distance from the reference plane. So it
+    moves along its eye ray, and h is, to first order, its height above the plane. With vertical cells, it lies at
+    (u, v, thickness + h).
 
-    heights_mm: (N, N, m + 1, m + 1) float64. eye_mm: (3,) float64, lens frame, or None for vertical cells.
+    Attributes:
+        lens: The lens.
+        heights_mm: Heights h of the vertices above the reference plane: (N, N, m + 1, m + 1) float64, mm. The last two
+            axes are those of a picture, as the first two are.
+        eye_mm: The eye along whose rays facets are cut: (3,) float64, mm, lens frame; None for vertical cells.
+        metrics: Numbers for the manifest, by name.
     """
 
     lens: Lens
@@ -226,12 +292,21 @@ class HeightField(_ReadOnly):
 
     @property
     def levels_mm(self) -> FloatArray:
-        """(N, N) mean height of each facet."""
+        """Mean height of each facet: (N, N) float64, mm."""
         levels: FloatArray = self.heights_mm.mean(axis=(2, 3))
         return levels
 
     def points_mm(self, u: FloatArray, v: FloatArray, heights: FloatArray) -> FloatArray:
-        """(..., 3) where vertices at (u, v) with these heights lie; the three arrays broadcast."""
+        """Positions of vertices, for arguments of shapes that broadcast.
+
+        Args:
+            u: x of the vertices' points on the reference plane, mm, lens frame.
+            v: y of these points.
+            heights: Heights of the vertices, mm.
+
+        Returns:
+            (..., 3) float64, mm, lens frame.
+        """
         u, v, h = np.broadcast_arrays(u, v, heights)
         plane = np.stack([u, v, np.full_like(h, self.lens.thickness_mm)], axis=-1)
         if self.eye_mm is None:
@@ -242,7 +317,7 @@ class HeightField(_ReadOnly):
         return lifted
 
     def facet_points_mm(self) -> FloatArray:
-        """(N, N, m + 1, m + 1, 3) where the facets' vertices lie."""
+        """Positions of all vertices: (N, N, m + 1, m + 1, 3) float64, mm, lens frame."""
         lens, m = self.lens, self.lens.microfacets
         within = (np.arange(m + 1) / m - 0.5) * (lens.pitch_mm - lens.wall_mm)
         centres = lens.facet_centres_mm()[:, :, None, None]
@@ -251,12 +326,16 @@ class HeightField(_ReadOnly):
 
 @dataclass(frozen=True)
 class Solid(_ReadOnly):
-    """A closed triangle mesh, lens frame, mm, outward normals.
+    """A closed triangle mesh with outward normals.
 
-    vertices: (V, 3) float64. faces: (F, 3) int32.
-    grid: (rows, columns) when the first rows * columns vertices are the top's regular grid, row-major, i along
-    the image's rows, every cell cut from its top-left to its bottom-right corner, and each vertex on its ray from
-    ``eye_mm`` (vertical line if None); None for a free mesh. The built-in tracer needs the grid.
+    Attributes:
+        vertices: (V, 3) float64, mm, lens frame.
+        faces: Indices of the corners of each triangle, counter-clockwise seen from outside: (F, 3) int32.
+        grid: (rows, columns) if the first rows * columns vertices are the regular grid of the top; None for any other
+            mesh. The grid is row-major as a picture is, each of its cells is cut from the top-left to the bottom-right
+            corner, and each vertex lies on its ray from ``eye_mm``. The built-in tracer needs the grid.
+        eye_mm: The eye along whose rays facets are cut: (3,) float64, mm, lens frame; None for vertical cells.
+        metrics: Numbers for the manifest, by name.
     """
 
     vertices: FloatArray
@@ -268,10 +347,12 @@ class Solid(_ReadOnly):
 
 @dataclass(frozen=True)
 class Transport:
-    """What the eye sees is linear in the source: ``seen = matrix @ source``.
+    """The matrix from a source to what the eye of one view sees: ``picture = matrix @ source``, in linear light.
 
-    matrix: (rows * columns, source_rows * source_columns) sparse; bilinear weights times transmission.
-    shape: (rows, columns) of the picture. source_shape: (rows, columns) of the source raster.
+    Attributes:
+        matrix: (rows * columns, source_rows * source_columns) sparse: bilinear weights times transmission.
+        shape: (rows, columns) of the picture.
+        source_shape: (source_rows, source_columns) of the source's raster.
     """
 
     matrix: csr_array
@@ -279,7 +360,14 @@ class Transport:
     source_shape: tuple[int, int]
 
     def see(self, source: FloatArray) -> FloatArray:
-        """(rows, columns, C) float32, linear light: the picture of a source (source_rows, source_columns, C)."""
+        """The picture that the eye sees of a source.
+
+        Args:
+            source: (source_rows, source_columns, C), linear light.
+
+        Returns:
+            (rows, columns, C) float32, linear light.
+        """
         from magiclens.kernels.sparse import times
 
         a, pixels = self.matrix, self.source_shape[0] * self.source_shape[1]
@@ -288,7 +376,7 @@ class Transport:
         return seen
 
     def turned(self, quarter_turns: int) -> Transport:
-        """The matrix after so many counter-clockwise quarter turns of lens and eye together; rasters are square."""
+        """The matrix after counter-clockwise quarter turns of lens and eye together; both rasters must be square."""
         if quarter_turns % 4 == 0:
             return self
         pixels, sources = (

@@ -1,4 +1,7 @@
-"""What the artifacts of a stage must be like; a stage that breaks its contract is named, not the one after it."""
+"""Checks of artifacts. A run checks what each stage returns, so that a stage that breaks its contract is named itself.
+
+Every check raises ``BadArtifact`` with a message that says what is wrong with the artifact.
+"""
 
 from __future__ import annotations
 
@@ -22,15 +25,15 @@ from magiclens.contract.artifacts import (
     View,
 )
 
-T = TypeVar("T")
+_T = TypeVar("_T")
 
 
 class BadArtifact(ValueError):
-    """An artifact that breaks the contract; the message says how."""
+    """An artifact breaks the contract of its stage; the message says how."""
 
 
 def check_candidates(lens: Lens, found: object) -> None:
-    """Offsets, maps and errors of one K, and at least one candidate for every facet."""
+    """Check a matcher's candidates: shapes that fit the lens, finite numbers, at least one candidate per facet."""
     candidates = _is(Candidates, found)
     k = candidates.errors.shape[-1] if candidates.errors.ndim == 3 else 0
     n = lens.facets
@@ -50,7 +53,7 @@ def check_candidates(lens: Lens, found: object) -> None:
 
 
 def check_assignment(lens: Lens, candidates: Candidates, found: object) -> None:
-    """One existing candidate per facet."""
+    """Check an annealer's assignment: it chooses one of the facet's candidates for every facet."""
     assignment = _is(Assignment, found)
     n, k = lens.facets, candidates.errors.shape[-1]
     _shape("choice", assignment.choice, (n, n))
@@ -64,7 +67,7 @@ def check_assignment(lens: Lens, candidates: Candidates, found: object) -> None:
 
 
 def check_height_field(lens: Lens, found: object) -> None:
-    """One finite grid of heights per facet."""
+    """Check an integrator's height field: it is of this lens, and has one grid of finite heights per facet."""
     height_field = _is(HeightField, found)
     n, m = lens.facets, lens.microfacets
     if height_field.lens != lens:
@@ -75,7 +78,7 @@ def check_height_field(lens: Lens, found: object) -> None:
 
 
 def check_solid(found: object) -> None:
-    """Finite vertices, and faces that refer to them."""
+    """Check a finisher's solid: finite vertices, faces that refer to them, a grid that is not larger than the solid."""
     solid = _is(Solid, found)
     _shape("vertices", solid.vertices, (max(len(solid.vertices), 4), 3))
     _shape("faces", solid.faces, (max(len(solid.faces), 4), 3))
@@ -89,7 +92,7 @@ def check_solid(found: object) -> None:
 
 
 def check_encoded(given: Scene, found: object) -> None:
-    """The given scene with other sources, of the same sizes, within 0 to 1, shared as before."""
+    """Check an encoder's scene: only sources have changed; they have the same sizes, are within 0 to 1, and shared."""
     scene = _is(Scene, found)
     if scene.lens != given.lens or len(scene.views) != len(given.views):
         raise BadArtifact("its scene has another lens or other views")
@@ -106,13 +109,13 @@ def check_encoded(given: Scene, found: object) -> None:
 
 
 def check_file(path: Path) -> None:
-    """A file that is there and not empty."""
+    """Check an exporter's file: it exists and is not empty."""
     if not path.is_file() or path.stat().st_size == 0:
         raise BadArtifact(f"it has not written {path.name}")
 
 
 def check_pictures(scene: Scene, found: object) -> None:
-    """One square, finite picture per view, with the scene's channels."""
+    """Check a renderer's pictures: one per view, square and finite, with the channels of the scene."""
     pictures: list[Any] = _is(list, found)
     if len(pictures) != len(scene.views):
         raise BadArtifact(f"{len(pictures)} pictures for {len(scene.views)} views")
@@ -122,7 +125,7 @@ def check_pictures(scene: Scene, found: object) -> None:
         _finite(view.name, picture)
 
 
-def _is(cls: type[T], found: object) -> T:
+def _is(cls: type[_T], found: object) -> _T:
     if not isinstance(found, cls):
         raise BadArtifact(f"it is a {type(found).__name__} instead of a {cls.__name__}")
     return found

@@ -1,8 +1,12 @@
-"""What can go wrong, and whose fault it is. The command line maps these to exit codes 2 and 1."""
+"""The errors that magiclens raises on purpose, by whose fault they are; each has an exit code of the command line."""
 
 
 class MagicLensError(Exception):
-    """Base of every error that magiclens raises on purpose."""
+    """Base of every error that magiclens raises on purpose.
+
+    Attributes:
+        exit_code: What the command line exits with.
+    """
 
     exit_code = 1
 
@@ -10,7 +14,9 @@ class MagicLensError(Exception):
 class InputError(MagicLensError):
     """The user's input is wrong: a spec, an image, an option. Exit code 2.
 
-    ``where`` is ``file:line`` or the name of the option, when it is known.
+    Attributes:
+        message: What is wrong and what to do about it.
+        where: ``file:line`` or the name of the option; None if it is not known.
     """
 
     exit_code = 2
@@ -25,4 +31,4 @@ class StageError(MagicLensError):
 
 
 class Terminated(SystemExit):
-    """A signal has asked the program to end; nobody who happens to be at work is to blame."""
+    """A signal has asked the program to end: no error of the stage that is running, which must let it pass."""

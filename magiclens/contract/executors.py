@@ -1,6 +1,6 @@
-"""The contract of executors: who works through a list of tasks, such as the runs of a sweep, and where.
+"""The contract of executors, which work through lists of tasks, such as the runs of a sweep, and the built-in ones.
 
-An executor is a pydantic model, as a stage is: its fields are its options, ``type`` is the name it is picked by.
+An executor is a pydantic model, as a stage is: its fields are its options, and ``type`` is the name that picks it.
 """
 
 from __future__ import annotations
@@ -19,35 +19,46 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from magiclens.contract.errors import StageError
 
-Item = TypeVar("Item")
-Result = TypeVar("Result")
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
 
 
 class Executor(BaseModel, ABC):
-    """Base of all executors. Where a task is worked on never changes its result."""
+    """Base of all executors. Where a task is worked on must not change its result.
+
+    Attributes:
+        type: The name that picks the executor, such as ``--executor processes``.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
 
     type: ClassVar[str]
 
     @abstractmethod
-    def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result | Exception]:
-        """``function`` of every item, in the items' order, each as soon as it and all before it are there.
+    def map(self, function: Callable[[_Item], _Result], items: Iterable[_Item]) -> Iterator[_Result | Exception]:
+        """Call a function with every item.
 
-        An item that fails stops no other: what it raised stands in its place; a StageError if its process died.
-        ``function`` and the items can be pickled, and equal work can be done twice, since a process that dies may leave
-        it unfinished. What the executor needs is started with the first result and ended with the last, or when the
-        iterator is closed.
+        Processes are started when the first result is asked for. They end with the last result, or when the iterator is
+        closed.
+
+        Args:
+            function: What to call. It can be pickled, and it may be called twice with the same item, since a process
+                that dies leaves its work unfinished.
+            items: What to call it with; items can be pickled.
+
+        Returns:
+            The results in the order of the items, each as soon as it and all those before it are known. An item that
+            fails stops no other: the exception takes the place of its result, a StageError if its process has died.
         """
 
 
 class Serial(Executor):
-    """One item after the other, in this process."""
+    """Works on one item after the other, in this process."""
 
     type: ClassVar[str] = "serial"
 
-    def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result | Exception]:
-        """Nothing is begun before it is asked for."""
+    def map(self, function: Callable[[_Item], _Result], items: Iterable[_Item]) -> Iterator[_Result | Exception]:
+        """See ``Executor``. No item is begun before its result is asked for."""
         for item in items:
             try:
                 yield function(item)
@@ -56,14 +67,18 @@ class Serial(Executor):
 
 
 class Processes(Executor):
-    """Several items at a time, in processes of this machine that share its cores."""
+    """Works on several items at a time, in processes of this machine that share its cores.
+
+    Attributes:
+        workers: Number of processes.
+    """
 
     type: ClassVar[str] = "processes"
 
     workers: int = Field(default_factory=lambda: cores(), ge=1, le=256, description="processes; as many as cores")
 
-    def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result | Exception]:
-        """A process that dies takes its item with it and is replaced."""
+    def map(self, function: Callable[[_Item], _Result], items: Iterable[_Item]) -> Iterator[_Result | Exception]:
+        """See ``Executor``. A process that dies loses the item that it was working on, and is replaced."""
         free: SimpleQueue[ProcessPoolExecutor] = SimpleQueue()
         for _ in range(self.workers):
             free.put(self._process())
@@ -76,13 +91,14 @@ class Processes(Executor):
                 free.get().shutdown()
 
     def _process(self) -> ProcessPoolExecutor:
-        """One process; it starts with its first item. Forking would copy the locks of numba's threads."""
+        """A pool of one process, so that its death costs one item; it starts with the first item."""
+        # not forked: a child would get copies of the locks that numba's threads hold
         spawn = multiprocessing.get_context("spawn")
         return ProcessPoolExecutor(1, spawn, _share_cores, (threads_each(self.workers),))
 
     def _work(
-        self, free: SimpleQueue[ProcessPoolExecutor], function: Callable[[Item], Result], item: Item
-    ) -> Result | Exception:
+        self, free: SimpleQueue[ProcessPoolExecutor], function: Callable[[_Item], _Result], item: _Item
+    ) -> _Result | Exception:
         process = free.get()
         try:
             return process.submit(function, item).result()
@@ -96,8 +112,8 @@ class Processes(Executor):
             free.put(process)
 
 
-def raising(results: Iterable[Result | Exception]) -> Iterator[Result]:
-    """The results of an executor, for those who need all of them: raises the first exception among them."""
+def raising(results: Iterable[_Result | Exception]) -> Iterator[_Result]:
+    """Results of an executor without exceptions: the first exception among them is raised."""
     for result in results:
         if isinstance(result, Exception):
             raise result
@@ -105,15 +121,15 @@ def raising(results: Iterable[Result | Exception]) -> Iterator[Result]:
 
 
 def cores() -> int:
-    """Cores that this process may use."""
+    """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def threads_each(workers: int) -> int:
-    """Threads for each of so many processes that share this machine."""
+    """Number of threads for each of several processes that share the cores of this machine."""
     return max(1, cores() // workers)
 
 
 def _share_cores(threads: int) -> None:
-    """Called in a new process, before numba is imported there."""
+    """Limit numba's threads; called in a new process before numba is imported there, since it reads this once."""
     os.environ["NUMBA_NUM_THREADS"] = str(threads)

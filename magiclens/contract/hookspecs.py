@@ -1,4 +1,8 @@
-"""The hooks a plugin can implement, in calling order. Hooks contribute or observe; they never rewrite data."""
+"""The hooks that a plugin can implement, in the order in which they are called.
+
+A plugin is a module or an object with functions of these names, each marked with ``@hookimpl``, which its package names
+in the group of entry points ``magiclens``. Hooks contribute something or observe a run; they never change data.
+"""
 
 from __future__ import annotations
 
@@ -14,49 +18,71 @@ if TYPE_CHECKING:
     from magiclens.contract.stages import Stage
 
 ENTRY_POINT_GROUP = "magiclens"
-CONTRACT = "2.0"
-"""The version of everything that plugins rely on: hooks, stages, artifacts, the names of ``magiclens``.
+"""The group of entry points in which packages name their plugins."""
 
-The second number grows with what is added, the first when something that plugins rely on changes or goes.
+CONTRACT = "2.0"
+"""The version of everything that plugins rely on: hooks, stages, artifacts, the public names of ``magiclens``.
+
+The second number grows when something is added, the first when something that plugins rely on is changed or removed.
 """
+
 hookspec = pluggy.HookspecMarker("magiclens")
+"""Marks the hooks of this file."""
+
 hookimpl = pluggy.HookimplMarker("magiclens")
+"""Marks a plugin's implementation of a hook."""
 
 
 @hookspec
 def mlens_stages() -> Sequence[type[Stage]]:  # type: ignore[empty-body]
-    """Stage classes this plugin contributes."""
+    """Contribute classes of stages (see ``magiclens.contract.stages``)."""
 
 
 @hookspec
 def mlens_scenarios() -> Sequence[type[Any]]:  # type: ignore[empty-body]
-    """Scenario classes this plugin contributes (see magiclens.scenarios.Scenario)."""
+    """Contribute classes of scenarios (see ``magiclens.Scenario``)."""
 
 
 @hookspec
 def mlens_art() -> dict[str, Callable[[int], Any]]:  # type: ignore[empty-body]
-    """Named pictures: a function from a size in pixels to an (size, size, C) float32 array in linear light."""
+    """Contribute named pictures: functions from a size in pixels to (size, size, C), linear light, C = 1 or 3."""
 
 
 @hookspec
 def mlens_executors() -> Sequence[type[Executor]]:  # type: ignore[empty-body]
-    """Executor classes this plugin contributes (see magiclens.contract.executors)."""
+    """Contribute classes of executors (see ``magiclens.contract.executors``)."""
 
 
 @hookspec
 def mlens_stage_done(stage: Stage, artifact: Any, seconds: float) -> None:
-    """Observe: a stage has returned this artifact."""
+    """Observe a stage that is done.
+
+    Args:
+        stage: The stage with its options.
+        artifact: What it has returned, checked.
+        seconds: How long it took.
+    """
 
 
 @hookspec
 def mlens_run_done(folder: Path, manifest: dict[str, Any]) -> None:
-    """Observe: a run folder is complete."""
+    """Observe a run that is done.
+
+    Args:
+        folder: The run folder, complete.
+        manifest: What its ``manifest.json`` holds.
+    """
 
 
 def contract_flaw(plugin: object) -> str | None:
-    """Why a plugin cannot be used here, judged by the contract that it was written for, its ``mlens_contract``.
+    """Why a plugin cannot be used with this version of the contract.
 
-    A plugin that does not say is taken to fit.
+    Args:
+        plugin: A module or an object. Its ``mlens_contract`` is the version that it was written for; a plugin without
+            one is accepted.
+
+    Returns:
+        What is wrong and what to upgrade; None if the plugin can be used.
     """
     written = getattr(plugin, "mlens_contract", CONTRACT)
     numbers = re.fullmatch(r"(\d+)\.(\d+)", written) if isinstance(written, str) else None

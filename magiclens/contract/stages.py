@@ -1,8 +1,13 @@
-"""The contracts of the pipeline's stages, in pipeline order.
+"""The contracts of the stages, in the order of the pipeline.
 
-A stage is a pydantic model: its fields are its options, and so the keys of its YAML mapping. A subclass sets
-``type`` (the name a spec picks it by) and implements one method. Stages are pure: they get read-only artifacts and
-return new ones. Only exporters write files. Randomness is an argument.
+A stage is a pydantic model: its fields are its options, and so the keys of its mapping in a spec. A subclass sets
+``type``, the name that picks it, and implements the one abstract method of its kind. Stages are pure: they get
+read-only artifacts and return new ones, and equal inputs give equal outputs. Only exporters write files. A stage that
+needs random numbers draws them from the generator that it is given.
+
+Shapes and frames are those of ``magiclens.contract.artifacts``. Stages raise an InputError when the user has asked for
+something impossible, a StageError when they fail. A stage must not import what takes time to load (numba, scipy) before
+its method is called, since all stages are imported to list them.
 """
 
 from __future__ import annotations
@@ -19,15 +24,21 @@ from pydantic import BaseModel, ConfigDict
 from magiclens.contract.artifacts import Assignment, Candidates, FloatArray, HeightField, Scene, Solid, Transport
 
 Progress = Callable[[float], None]
-"""Called by long stages with the fraction that is done, from 0 to 1."""
+"""A function that long stages call with the fraction of the work that is done, from 0 to 1, never descending."""
 
 
 def silent(_: float) -> None:
-    """The progress callback that reports nowhere."""
+    """Report progress to nobody: the default of every stage."""
 
 
 class Stage(BaseModel, ABC):
-    """Base of all stages. ``version`` is part of a run's identity: raise it when results change."""
+    """Base of all stages.
+
+    Attributes:
+        kind: The place in the pipeline, such as ``matcher``; set by the base class of the kind.
+        type: The name that picks the stage in a spec, such as ``exhaustive``.
+        version: Part of a run's identity; raise it when equal inputs give other results.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
 
@@ -37,9 +48,11 @@ class Stage(BaseModel, ABC):
 
 
 class Matcher(Stage):
-    """Finds, for every facet, source patches that look like its tile of the target (4.2).
+    """Finds, for every facet, patches of the source that resemble its tile of the target (4.2).
 
-    ``uses_pictures`` is False for universal lenses (5): then no stage that shapes the lens is given any picture.
+    Attributes:
+        uses_pictures: Whether the lens depends on pictures. It does not for universal lenses (5): then no stage that
+            shapes the lens is given any.
     """
 
     kind: ClassVar[str] = "matcher"
@@ -47,18 +60,41 @@ class Matcher(Stage):
 
     @abstractmethod
     def match(self, scene: Scene, rng: np.random.Generator, progress: Progress = silent) -> Candidates:
-        """Candidates per facet, best first; those that refraction cannot reach are left out."""
+        """Find candidates.
+
+        Args:
+            scene: The lens and what it must show.
+            rng: The source of randomness, spawned from the spec's seed.
+            progress: Told the fraction that is done.
+
+        Returns:
+            At least one candidate per facet, best first. Candidates that refraction cannot reach, or not within the
+            lens's slope limit, are left out.
+
+        Raises:
+            InputError: Some facet has no candidate at all.
+        """
 
     def rematch(
         self, scene: Scene, candidates: Candidates, assignment: Assignment, built: HeightField, traced: FloatArray,
         progress: Progress = silent,
     ) -> Candidates:  # fmt: skip
-        """Candidates corrected by what the lens, as ``built`` from the assignment, really shows (4.6, last paragraph).
+        """Correct candidates by what the lens, once it is built, really shows (4.6, last paragraph).
 
-        traced: (N, N) mean squared difference, in display values, of each facet's traced picture and its tile. Unless
-        a matcher knows better, the candidates in use get these errors, so that those which steps, walls or the
-        lenslets' true shapes have spoilt lose against others. The lists stay in order, so that a candidate's number
-        means the same in every round.
+        By default, the candidates that were chosen get the traced errors, so that those which steps, walls or the true
+        shapes of lenslets have spoilt lose against others.
+
+        Args:
+            scene: The lens and what it must show.
+            candidates: The candidates before.
+            assignment: Those of them that were chosen.
+            built: The height field that was made from the assignment.
+            traced: Mean squared difference, in display values, of each facet's traced picture and its tile: (N, N).
+            progress: Told the fraction that is done.
+
+        Returns:
+            Candidates in the same order as before, even if their errors no longer ascend, so that the index of a
+            candidate means the same in every round.
         """
         errors = candidates.errors.copy()
         i, j = np.indices(assignment.choice.shape)
@@ -75,7 +111,18 @@ class Annealer(Stage):
     def anneal(
         self, scene: Scene, candidates: Candidates, rng: np.random.Generator, progress: Progress = silent
     ) -> Assignment:
-        """One candidate per facet. ``metrics`` holds ``energy_before`` and ``energy_after``."""
+        """Choose candidates.
+
+        Args:
+            scene: The lens and what it must show.
+            candidates: What to choose from; those with an error of inf do not exist.
+            rng: The source of randomness, spawned from the spec's seed.
+            progress: Told the fraction that is done.
+
+        Returns:
+            One candidate per facet. Its metrics hold ``energy_before`` and ``energy_after``, of the best candidates and
+            of the chosen ones; the energy (eqs 3 and 4 in the paper) is the annealer's own, but must not rise.
+        """
 
 
 class Integrator(Stage):
@@ -85,28 +132,58 @@ class Integrator(Stage):
 
     @abstractmethod
     def integrate(self, scene: Scene, assignment: Assignment, progress: Progress = silent) -> HeightField:
-        """A height field within the lens's relief and slope limits. Raises StageError naming a facet that cannot be."""
+        """Make the top of the lens.
+
+        Args:
+            scene: The lens and what it must show.
+            assignment: The transformation that each facet shall have.
+            progress: Told the fraction that is done.
+
+        Returns:
+            Heights within the lens's relief and slope limits.
+
+        Raises:
+            StageError: Some facet cannot be made; the message names it.
+        """
 
     def refine(self, scene: Scene, built: HeightField, progress: Progress = silent) -> HeightField:
-        """The height field that goes on to be meshed: a better one, within the same limits, if it knows how.
+        """Improve the final height field by what all eyes see through it; by default, it stays as it is.
 
-        built: from the final assignment. Called once, at the end, and only if the matcher looks at the pictures.
+        This is called once, before meshing, and only if the matcher uses pictures.
+
+        Args:
+            scene: The lens and what it must show.
+            built: The height field of the final assignment.
+            progress: Told the fraction that is done.
+
+        Returns:
+            Heights within the same limits.
         """
         return built
 
 
 class Finisher(Stage):
-    """Repairs, smooths or checks the closed mesh."""
+    """Repairs, smooths or checks the mesh."""
 
     kind: ClassVar[str] = "finisher"
 
     @abstractmethod
     def finish(self, scene: Scene, solid: Solid, progress: Progress = silent) -> Solid:
-        """A solid that is fit for fabrication; ``metrics`` holds the findings."""
+        """Make the solid that is exported.
+
+        Args:
+            scene: The lens and what it must show.
+            solid: The closed mesh of the height field.
+            progress: Told the fraction that is done.
+
+        Returns:
+            A closed solid that can be fabricated and shows the same. It keeps ``grid`` if its vertices still are one.
+            Its metrics hold what was measured.
+        """
 
 
 class Encoder(Stage):
-    """Paints or edits the sources so that the finished lens shows the targets (5.2; the continuum of 7)."""
+    """Paints or edits the sources so that the finished lens shows the targets (5.2, and the continuum of 7)."""
 
     kind: ClassVar[str] = "encoder"
 
@@ -114,21 +191,40 @@ class Encoder(Stage):
     def encode(
         self, scene: Scene, transports: Sequence[Transport], rng: np.random.Generator, progress: Progress = silent
     ) -> Scene:
-        """The scene with other sources; views that share a source go on sharing one. Everything else is unchanged.
+        """Paint the sources.
 
-        transports: one per view, the matrix from the view's source raster to its picture, both in the world frame.
+        Args:
+            scene: The lens, what it must show, and the sources to start from. Pixels in ``scene.reserved`` must stay.
+            transports: For each view, the matrix from its source to its picture, both in the world frame.
+            rng: The source of randomness, spawned from the spec's seed.
+            progress: Told the fraction that is done.
+
+        Returns:
+            The scene with other sources, of the same sizes and within 0 to 1. Views that share a source still do, and
+            everything else is the same.
         """
 
 
 class Exporter(Stage):
-    """Writes a solid to a file that other programs read."""
+    """Writes a solid to a file that other programs read.
+
+    Attributes:
+        suffix: The ending of the file, such as ``.stl``.
+    """
 
     kind: ClassVar[str] = "exporter"
     suffix: ClassVar[str]
 
     @abstractmethod
     def export(self, scene: Scene, solid: Solid, path: Path) -> None:
-        """Write the file ``path`` (it ends in ``suffix``). Equal inputs give equal bytes."""
+        """Write the file; equal inputs give equal bytes, so it holds no date.
+
+        Args:
+            scene: The lens and what it must show.
+            solid: The finished solid.
+            path: The file, which ends in ``suffix``. More files may be written beside it if their names start in the
+                same way.
+        """
 
 
 class Renderer(Stage):
@@ -138,7 +234,17 @@ class Renderer(Stage):
 
     @abstractmethod
     def render(self, scene: Scene, solid: Solid, progress: Progress = silent) -> list[FloatArray]:
-        """One picture per view, (R, R, C) float32, linear light, world frame: the square on the reference plane."""
+        """Take a simulated photograph of every view.
+
+        Args:
+            scene: The lens, the sources and the eyes.
+            solid: The finished solid.
+            progress: Told the fraction that is done.
+
+        Returns:
+            A picture per view, of a resolution R of the renderer's own: (R, R, C) float32, linear light, world frame.
+            It shows the lens's square on the reference plane, as targets do.
+        """
 
 
 KINDS: dict[str, type[Stage]] = {

@@ -1,4 +1,4 @@
-"""Text with units at the edge, plain millimetres, degrees and fractions inside.
+"""Types of options with a unit: text in a spec, plain millimetres, degrees and fractions in the program.
 
 ``Length``, ``Angle`` and ``Fraction`` annotate pydantic fields: they take text such as ``10cm``, hold a float, and
 turn back into text when a model is dumped as JSON. Defaults are text too: ``Field("5mm", validate_default=True)``.
@@ -15,28 +15,34 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, GetCoreSchemaHandler, GetJsonSchemaHandler, PlainSerializer, WithJsonSchema
 from pydantic_core import CoreSchema, core_schema
 
-NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A kind of measure. ``units`` has each unit's size in the unit used inside; ``home`` is the one to write."""
+    """A kind of measure.
+
+    Attributes:
+        noun: What messages call it, such as ``a length``.
+        written: The unit in which values are written, such as ``mm``.
+        units: Every unit that is read, with its size in the unit that is used inside.
+    """
 
     noun: str
-    home: str
+    written: str
     units: Mapping[str, float]
 
     @property
     def pattern(self) -> str:
-        """Regular expression (ECMA 262 too) of the text that is accepted."""
-        return rf"^({NUMBER}) ?({'|'.join(self.units)})$"
+        """Regular expression of the text that is accepted, for Python and for JSON Schema (ECMA 262)."""
+        return rf"^({_NUMBER}) ?({'|'.join(self.units)})$"
 
     def text(self, value: float) -> str:
-        """A value as a spec writes it; parsing gives the same float back."""
-        return f"{_digits(value / self.units[self.home])}{self.home}"
+        """A value as a spec writes it; ``parse`` gives the same float again."""
+        return f"{_digits(value / self.units[self.written])}{self.written}"
 
     def parse(self, value: object) -> float:
-        """The value of ``10cm`` and the like; ValueError says what is wrong and proposes what may be meant."""
+        """The value of a text such as ``10cm``; a ValueError says what is wrong and what was probably meant."""
         if _is_number(value):
             raise ValueError(f"{value} is a bare number; {self.noun} needs a unit, such as '{self._guess(value)}'")
         match = isinstance(value, str) and re.match(self.pattern, value.strip())
@@ -48,7 +54,7 @@ class Quantity:
         return number
 
     def _why_not(self, value: object) -> str:
-        number = re.match(rf"({NUMBER})\s*(.*)$", value.strip()) if isinstance(value, str) else None
+        number = re.match(rf"({_NUMBER})\s*(.*)$", value.strip()) if isinstance(value, str) else None
         if number is None:
             got = "nothing" if value is None else repr(value)
             return f"expected {self.noun} such as '{self._guess(10)}', got {got}"
@@ -57,23 +63,28 @@ class Quantity:
 
     def _guess(self, number: object) -> str:
         value = float(str(number))
-        return self.text(value) if self.home == "%" and abs(value) <= 1 else f"{_digits(value)}{self.home}"
+        return self.text(value) if self.written == "%" and abs(value) <= 1 else f"{_digits(value)}{self.written}"
 
 
 def _is_number(value: object) -> bool:
     if isinstance(value, bool):
         return False
-    return isinstance(value, int | float) or (isinstance(value, str) and bool(re.fullmatch(NUMBER, value.strip())))
+    return isinstance(value, int | float) or (isinstance(value, str) and bool(re.fullmatch(_NUMBER, value.strip())))
 
 
 def _digits(value: float) -> str:
-    """Twelve significant digits: what the text says, without the noise of binary fractions."""
+    """A number with twelve significant digits, so that 0.1 + 0.2 is 0.3."""
     return f"{value:.12g}"
 
 
 LENGTH = Quantity("a length", "mm", {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3, "µm": 1e-3, "in": 25.4})
+"""Lengths, in millimetres inside."""
+
 ANGLE = Quantity("an angle", "deg", {"deg": 1.0, "rad": math.degrees(1.0)})
+"""Angles, in degrees inside."""
+
 FRACTION = Quantity("a share", "%", {"%": 0.01})
+"""Shares of something, from 0 to 1 inside."""
 
 
 def _schema(*quantities: Quantity) -> dict[str, Any]:
@@ -102,19 +113,24 @@ Fraction = Annotated[
     PlainSerializer(FRACTION.text, return_type=str, when_used="json"),
     WithJsonSchema(_schema(FRACTION)),
 ]
-"""A share: text such as ``10%``; 0.1 inside."""
+"""A share: text such as ``10%``; a float inside, here 0.1."""
 
 
 @dataclass(frozen=True)
 class LengthOrPercent:
-    """A length, or a share of a length that is known later: ``5mm`` or ``10%``."""
+    """A length such as ``5mm``, or a share such as ``10%`` of a length that is known later.
+
+    Attributes:
+        value: Millimetres, or the share.
+        relative: Whether it is a share.
+    """
 
     value: float
     relative: bool = False
 
     @classmethod
     def parse(cls, value: object) -> LengthOrPercent:
-        """From text; ValueError says what is wrong."""
+        """The value of a text; a ValueError says what is wrong."""
         if isinstance(value, cls):
             return value
         if _is_number(value):
@@ -124,7 +140,7 @@ class LengthOrPercent:
         return cls(LENGTH.parse(value))
 
     def mm(self, of_mm: float) -> float:
-        """Millimetres, as a share of ``of_mm`` if it is one."""
+        """The length in millimetres; a share is one of ``of_mm``."""
         return self.value * of_mm if self.relative else self.value
 
     def __str__(self) -> str:
@@ -141,5 +157,5 @@ class LengthOrPercent:
 
 
 def relative(text: str) -> LengthOrPercent:
-    """``relative("10%")``: the default of an option that is a LengthOrPercent."""
+    """A default of an option that is a LengthOrPercent, such as ``relative("10%")``."""
     return LengthOrPercent.parse(text)

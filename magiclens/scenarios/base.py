@@ -10,12 +10,12 @@ from typing import ClassVar
 import numpy as np
 
 from magiclens.config.model import Choice, SpecModel, Viewer
-from magiclens.contract.artifacts import BoolArray, FloatArray, Lens, Seen, View
+from magiclens.contract.artifacts import BoolArray, FloatArray, Lens, View, Viewpoint
 from magiclens.scenarios.pictures import Art, Source, Target
 
 
 @dataclass(frozen=True)
-class Shot(Seen):
+class Shot(Viewpoint):
     """One view before it has pictures: which source and target, seen from where, at which lens rotation.
 
     Shots of one scenario that have equal ``source_name`` share their source.
