@@ -1,10 +1,14 @@
-"""The documentation: its commands work as they are written, and every page of it is part of the site."""
+"""The documentation: its commands work as written, it agrees with the code, and every page of it is on the site."""
 
 from __future__ import annotations
 
 import re
 import shlex
+import subprocess
+import sys
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -24,6 +28,9 @@ from magiclens.web.gallery.options import model_tables, takes
 
 ROOT = Path(__file__).parent.parent
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
+DOORS = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", ".github/pull_request_template.md")]
+"""Pages beside those of the site."""
+ARCHITECTURE = ROOT / "docs" / "explanation" / "architecture.md"
 RUN = "sh run"
 """What a code block is called that this test runs."""
 
@@ -46,18 +53,34 @@ def test_commands_work_as_they_are_written(page: Path, tmp_path: Path, monkeypat
     monkeypatch.chdir(tmp_path)
     write_png(tmp_path / "cat.png", ART["panda"](256))
     for language, text in blocks(page):
-        named = re.match(r"# (\S+\.yaml)\n", text)
-        if language == "yaml" and named:
+        named = re.match(r"# (\S+\.(yaml|py|toml))\n", text)
+        if named and language in ("yaml", "python", "toml"):
             (tmp_path / named[1]).write_text(text, encoding="utf-8")
-        for line in text.splitlines() if language == RUN else ():
-            mlens, *words = shlex.split(line)
-            assert mlens == "mlens"
-            done = CliRunner().invoke(app, words)
-            assert done.exit_code == 0, f"{line}\n{done.output}"
+    if (tmp_path / "pyproject.toml").is_file():
+        monkeypatch.syspath_prepend(installed(tmp_path))
+    for line in commands(page):
+        mlens, *words = shlex.split(line)
+        assert mlens == "mlens"
+        done = CliRunner().invoke(app, words)
+        assert done.exit_code == 0, f"{line}\n{done.output}"
+
+
+def installed(package: Path) -> Path:
+    """Where pip has put a page's package, once the package's own tests are green there."""
+    site = package / "site"
+    quiet = ["--quiet", "--no-deps", "--no-index", "--no-build-isolation", "--disable-pip-version-check"]
+    pip = [sys.executable, "-m", "pip", "install", *quiet, "--target", str(site), str(package)]
+    tests = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *map(str, package.glob("test_*.py"))]
+    for command in (pip, tests):
+        done = subprocess.run(command, cwd=package, capture_output=True, text=True, timeout=300, check=False)
+        assert done.returncode == 0, done.stdout + done.stderr
+    return site
 
 
 def test_tutorial_and_how_tos_have_commands_that_are_run() -> None:
-    assert {page.stem for page in WITH_COMMANDS} >= {"tutorial", "print", "mill", "encode-a-message"}
+    assert {page.stem for page in WITH_COMMANDS} >= {
+        "tutorial", "print", "mill", "encode-a-message", "add-a-scenario",
+    }  # fmt: skip
 
 
 def test_every_page_is_in_the_gallerys_menu() -> None:
@@ -66,14 +89,85 @@ def test_every_page_is_in_the_gallerys_menu() -> None:
     assert listed == set(PAGES)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=[page.stem for page in PAGES])
+@pytest.mark.parametrize("page", PAGES + DOORS, ids=[page.stem for page in PAGES + DOORS])
 def test_links_between_pages_lead_somewhere(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
-    for target in re.findall(r"\]\(([^)#\s]+\.md)", text):
-        assert (page.parent / target).is_file(), target
+    for target, anchor in re.findall(r"\]\(([^)#\s:]*)(?:#([^)\s]+))?(?: \"[^\"]*\")?\)", text):
+        found = page.parent / target if target else page
+        if target.endswith(".html"):
+            continue  # a reference page that the site makes from the code
+        assert found.exists(), target
+        if anchor:
+            headings = re.findall(r"^#+ (.+)$", found.read_text(encoding="utf-8"), re.MULTILINE)
+            assert anchor in {slug(heading.replace("`", "")) for heading in headings}, f"{target}#{anchor}"
     entries = {entry.name for entry in load_gallery(ROOT / "gallery" / "gallery.yaml").entries}
     assert set(re.findall(r"\]\(drawing:([\w-]+)", text)) <= set(DRAWINGS)
     assert set(re.findall(r"\]\(run:([\w-]+)/", text)) <= entries
+
+
+def test_the_doors_lead_to_each_other() -> None:
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert "(CONTRIBUTING.md)" in readme
+    assert "(docs/explanation/architecture.md)" in readme
+
+
+@pytest.fixture
+def drawer(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The script that draws the architecture."""
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    return import_module("draw_architecture")
+
+
+def test_the_drawings_of_the_architecture_are_those_of_the_code(drawer: ModuleType) -> None:
+    for path, drawn in drawer.drawings():
+        assert path.read_text(encoding="utf-8") == drawn, "stale: run `python docs/draw_architecture.py`"
+
+
+def test_the_drawing_of_the_layers_has_no_mark_against_them(drawer: ModuleType) -> None:
+    imports, below = drawer.folder_imports(), set[str]()
+    for layer in reversed(drawer.package_layers()):
+        for name in layer:
+            assert imports[name] <= below, name
+        below |= set(layer)
+
+
+def test_the_architecture_has_a_paragraph_on_every_folder() -> None:
+    told = re.findall(r"^\*\*`(\w+)/`\*\*", ARCHITECTURE.read_text(encoding="utf-8"), re.MULTILINE)
+    folders = {path.parent.name for path in (ROOT / "magiclens").glob("*/__init__.py")}
+    assert len(told) == len(set(told))
+    assert set(told) == folders
+
+
+@pytest.mark.parametrize("page", PAGES + DOORS, ids=[page.stem for page in PAGES + DOORS])
+def test_what_pages_say_of_the_code_is_there(page: Path) -> None:
+    """Files and folders that a page names, and functions of which it says in which file they are."""
+    text = page.read_text(encoding="utf-8")
+    made = {"magiclens/scenarios/stereo.py", "specs/stereo.yaml"}  # by the page's reader
+    folders = r"magiclens|tests|specs|plugins|docs|gallery|benchmarks|\.github"
+    for path in set(re.findall(rf"`((?:{folders})/[\w./-]*)`", text)) - made:
+        assert (ROOT / path).exists(), path
+    for name, path in re.findall(r"`(\w+(?:\.\w+)?)` in `(magiclens/[\w/]+\.py)`", text):
+        last, code = name.split(".")[-1], (ROOT / path).read_text(encoding="utf-8")
+        assert re.search(rf"^ *(def|class) {last}\b|^{last}\b", code, re.MULTILINE), name
+
+
+def test_the_example_of_a_docstring_is_in_the_code() -> None:
+    (example,) = (text for kind, text in blocks(ROOT / "CONTRIBUTING.md") if kind == "python")
+    code = (path.read_text(encoding="utf-8") for path in (ROOT / "magiclens").rglob("*.py"))
+    assert any(example.strip() in text for text in code)
+
+
+def test_the_glossary_is_sorted_and_every_term_is_at_home_in_the_code() -> None:
+    text = (ROOT / "docs" / "reference" / "glossary.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| \*\*(.+?)\*\* \| .+? \| `(.+?)` \|$", text, re.MULTILINE)
+    assert len(rows) == text.count("\n| **")
+    terms = [term.replace(",", "").lower() for term, _ in rows]
+    assert terms == sorted(set(terms))
+    package = ROOT / "magiclens"
+    code = "\n".join(path.read_text(encoding="utf-8") for path in package.rglob("*.py"))
+    for term, home in rows:
+        found = (package / home).exists() if "/" in home else re.search(rf"\b{re.escape(home)}\b", code)
+        assert found, f"{term}: {home}"
 
 
 @pytest.mark.parametrize("name", DRAWINGS)

@@ -159,6 +159,9 @@ class _Renderer:
         found = self._of_run(name, line) if kind == "run" else normal(self._source.parent / unquote(target))
         if not found.is_file():
             raise InputError(f"broken picture: {missing_file(found)}", f"{self._source}:{line}")
+        if found.suffix == ".svg":
+            path = self._away(self._copied(found, line))
+            return _figure(f'<img src="{escape(path)}" alt="{escape(token.content)}" loading="lazy">', caption)
         group = name.split("/")[0] if kind == "run" else FOLDER
         picture = self._library.album.shrunk(found, group, PICTURE_PX, token.content)
         size = f'width="{picture.width}" height="{picture.height}"'
