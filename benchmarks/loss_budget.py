@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from magiclens.analysis.ideal import bound_psnr_db
+from magiclens.analysis.ideal_picture import bound_psnr_db
 from magiclens.contract.artifacts import Assignment, FloatArray, HeightField, Scene, View
 from magiclens.geometry.facets import patches_seen
 from magiclens.geometry.solid import solid_from_heights

@@ -17,11 +17,11 @@ from xml.sax.saxutils import escape
 
 import grimp
 
-from magiclens.analysis.ideal import bound_psnr_db
+from magiclens.analysis.ideal_picture import bound_psnr_db
+from magiclens.builtin import mlens_stages
 from magiclens.contract.result import RunResult
 from magiclens.contract.stages import KINDS, Annealer, Encoder, Exporter, Finisher, Integrator, Matcher, Renderer
 from magiclens.geometry.solid import solid_from_heights
-from magiclens.plan.builtin import mlens_stages
 from magiclens.plan.compile import Plan, load_plan
 from magiclens.rendering.transports import transports
 from magiclens.report.write import write_report

@@ -6,6 +6,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from magiclens.analysis.base import Analysis, Findings
     from magiclens.config.load import load_spec
     from magiclens.config.model import Spec, Viewer
     from magiclens.contract.artifacts import (
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOMES = {
+    "analysis.base": "Analysis Findings",
     "config.load": "load_spec",
     "config.model": "Spec Viewer",
     "contract.artifacts": "Assignment Candidates FloatArray HeightField IntArray Lens Scene Solid Transport View",
@@ -71,6 +73,7 @@ _HOME_OF = {name: f"magiclens.{home}" for home, names in _HOMES.items() for name
 
 __all__ = [
     "CONTRACT",
+    "Analysis",
     "Angle",
     "Annealer",
     "Assignment",
@@ -79,6 +82,7 @@ __all__ = [
     "Executor",
     "Exhaustive",
     "Exporter",
+    "Findings",
     "Finisher",
     "FloatArray",
     "Fraction",

@@ -22,12 +22,6 @@ def registry() -> Registry:
 
 
 @pytest.fixture
-def without_report(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Runs that are not about the report write none, which saves most of their time."""
-    monkeypatch.setattr("magiclens.report.write.write_report", lambda data, folder: None)
-
-
-@pytest.fixture
 def write_spec(tmp_path: Path) -> SpecWriter:
     """Writes the spec above, with replacements made in its text, and returns its path."""
 

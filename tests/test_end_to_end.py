@@ -90,8 +90,8 @@ def test_every_eye_sees_its_own_target_and_no_other(tmp_path: Path, cells: str, 
         f"pipeline.renderers=[{{type: tracer, resolution: 192}}{others}]",
     ]
     run = run_spec(SPECS / "multi-view.yaml", tmp_path / "views", small)
-    targets = [view.target for view in run.data.scene.views]
-    for k, pictures in enumerate(zip(*run.data.renders.values(), strict=True)):
+    targets = [view.target for view in run.result.scene.views]
+    for k, pictures in enumerate(zip(*run.result.renders.values(), strict=True)):
         for picture in pictures:
             own, other = (score(picture, targets[i]).psnr_db for i in (k, 1 - k))
             assert own > 18
@@ -115,9 +115,9 @@ def test_a_milled_lens_has_no_step_above_a_tenth_of_a_millimetre(tmp_path: Path)
 def test_a_colour_picture_comes_out_in_colour(tmp_path: Path) -> None:
     small = ["lens.facets=32", "lens.microfacets=4", "pipeline.renderers=[{type: tracer, resolution: 128}]"]
     run = run_spec(SPECS / "fine-detail.yaml", tmp_path / "colour", small)
-    (picture,) = run.data.renders["tracer"]
+    (picture,) = run.result.renders["tracer"]
     assert picture.shape == (128, 128, 3)
-    target = run.data.scene.views[0].target
+    target = run.result.scene.views[0].target
     assert score(picture, target).psnr_db > 3 + score(picture[..., ::-1], target).psnr_db
 
 

@@ -11,10 +11,10 @@ from types import SimpleNamespace
 
 import pytest
 
+from magiclens import builtin
 from magiclens.contract.errors import InputError, StageError
 from magiclens.contract.executors import Executor, Processes, Serial, cores, raising, threads_each
 from magiclens.contract.hookspecs import hookimpl
-from magiclens.plan import builtin
 from magiclens.plan.registry import EXECUTOR, Plugin, Registry
 from magiclens.running.jobs import choose_executor
 

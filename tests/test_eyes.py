@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from magiclens.analysis.ideal import predict
+from magiclens.analysis.ideal_picture import predict
 from magiclens.contract.artifacts import Assignment, FloatArray, HeightField, Scene, View
 from magiclens.geometry.facets import edge_models, patches_seen
 from magiclens.geometry.solid import solid_from_heights

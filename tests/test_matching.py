@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from magiclens.analysis.ideal import predict
+from magiclens.analysis.ideal_picture import predict
 from magiclens.contract.artifacts import Assignment, Candidates, FloatArray, Lens, Scene, View
 from magiclens.contract.errors import InputError
 from magiclens.contract.stages import Matcher, silent

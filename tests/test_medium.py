@@ -61,7 +61,7 @@ def printed(tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 def seen(done: Run) -> FloatArray:
     """The tracer's picture, linear light."""
-    return np.asarray(done.data.renders["tracer"][0])
+    return np.asarray(done.result.renders["tracer"][0])
 
 
 def test_a_medium_shows_a_picture_between_its_black_and_its_white() -> None:
@@ -71,7 +71,7 @@ def test_a_medium_shows_a_picture_between_its_black_and_its_white() -> None:
 
 
 def test_matching_sees_the_medium(ideal: Run, printed: Run) -> None:
-    one, other = (done.data.candidates for done in (ideal, printed))
+    one, other = (done.result.candidates for done in (ideal, printed))
     assert not np.array_equal(one.errors, other.errors)
     assert np.median(other.errors[..., 0]) < np.median(one.errors[..., 0]), "less contrast, smaller differences"
     assert not np.array_equal(one.offsets_mm[..., 0, :], other.offsets_mm[..., 0, :])
@@ -85,7 +85,7 @@ def test_predicted_pictures_carry_the_lifted_black(ideal: Run, printed: Run) -> 
 
 
 def test_scores_are_within_the_mediums_range(printed: Run) -> None:
-    view, scene = printed.manifest["views"][0], printed.data.scene
+    view, scene = printed.manifest["views"][0], printed.result.scene
     assert scene.views[0].target.min() == pytest.approx(0.1875, abs=1e-6)
     assert view["psnr_db"] == pytest.approx(score(seen(printed), scene.views[0].target).psnr_db, abs=1e-3)
     assert view["psnr_db"] > score(seen(printed), (scene.views[0].target - 0.1875) / 0.8125).psnr_db + 1
@@ -111,7 +111,7 @@ def test_painted_sources_use_the_full_range_and_decoding_carries_the_black(tmp_p
     done = run(tmp_path / "universal", UNIVERSAL + GREYISH)
     painted = read_image(done.folder / "sources" / "frame-00.png")
     assert (painted.min(), painted.max()) == (0, 1)
-    assert done.data.scene.views[0].source.min() == pytest.approx(0.1875, abs=1e-3)
+    assert done.result.scene.views[0].source.min() == pytest.approx(0.1875, abs=1e-3)
     (through,) = open_run(done.folder).decode([np.zeros((64, 64, 1), np.float32)])
     assert np.median(through) == pytest.approx(0.1875 * 0.92, rel=0.05)
 

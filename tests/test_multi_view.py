@@ -10,7 +10,7 @@ import pytest
 from scipy.ndimage import map_coordinates
 from scipy.optimize import brentq
 
-from magiclens.analysis.ideal import predict
+from magiclens.analysis.ideal_picture import predict
 from magiclens.contract.artifacts import Assignment, Candidates, FloatArray, Scene, View
 from magiclens.contract.errors import InputError
 from magiclens.contract.stages import silent

@@ -46,8 +46,8 @@ def invoke(*arguments: str | Path) -> str:
 
 def test_a_run_keeps_what_the_reopened_lens_is_made_of(run: Run) -> None:
     again = open_run(run.folder).solid
-    np.testing.assert_allclose(again.vertices, run.data.solid.vertices, atol=1e-6)
-    np.testing.assert_array_equal(again.faces, run.data.solid.faces)
+    np.testing.assert_allclose(again.vertices, run.result.solid.vertices, atol=1e-6)
+    np.testing.assert_array_equal(again.faces, run.result.solid.faces)
 
 
 def test_frames_share_the_matrix_that_the_run_kept(run: Run, tmp_path: Path) -> None:
@@ -56,7 +56,7 @@ def test_frames_share_the_matrix_that_the_run_kept(run: Run, tmp_path: Path) -> 
     assert lens.transport("frame-01") is lens.transport()
     assert "solid" not in vars(lens)
     shutil.copytree(run.folder, tmp_path / "bare", ignore=shutil.ignore_patterns("transports"))
-    traced, source = open_run(tmp_path / "bare"), run.data.scene.views[0].source
+    traced, source = open_run(tmp_path / "bare"), run.result.scene.views[0].source
     assert traced.transport("frame-01") is traced.transport()
     np.testing.assert_allclose(traced.transport().see(source), lens.transport().see(source), atol=0.02)
 
@@ -72,7 +72,7 @@ def test_another_picture_is_encoded_and_decoded(run: Run, tmp_path: Path) -> Non
     invoke("encode", run.folder, tmp_path / "heart.png", "-o", tmp_path / "source.png")
     invoke("decode", run.folder, tmp_path / "source.png", "-o", tmp_path / "seen.png")
     source, seen = read_image(tmp_path / "source.png"), read_image(tmp_path / "seen.png")
-    assert source.shape[:2] == run.data.scene.views[0].source.shape[:2]
+    assert source.shape[:2] == run.result.scene.views[0].source.shape[:2]
     assert score(seen, target).psnr_db > 22
     assert score(seen, target).psnr_db > score(source, target).psnr_db + 10
 

@@ -125,7 +125,7 @@ def test_the_quick_check_agrees_with_the_thorough_one(run: Run) -> None:
 def test_equal_runs_have_equal_pages(run: Run, tmp_path: Path) -> None:
     manifest = json.loads((run.folder / "manifest.json").read_text())
     shutil.copytree(run.folder / "figures", tmp_path / "figures")
-    write_preflight(inspect(run.folder, manifest, load_plan(run.folder / "spec.yaml"), run.data.solid), tmp_path)
+    write_preflight(inspect(run.folder, manifest, load_plan(run.folder / "spec.yaml"), run.result.solid), tmp_path)
     for name in ("preflight.html", "preflight.json"):
         assert (tmp_path / name).read_bytes() == (run.folder / name).read_bytes()
     page = (run.folder / "preflight.html").read_text()
@@ -135,7 +135,7 @@ def test_equal_runs_have_equal_pages(run: Run, tmp_path: Path) -> None:
 def test_the_quick_check_looks_again_when_the_file_holds_something_else(run: Run, folder: Path) -> None:
     rewrite(folder, triangles(folder)[1:])
     manifest = json.loads((folder / "manifest.json").read_text())
-    found = inspect(folder, manifest, load_plan(folder / "spec.yaml"), run.data.solid)
+    found = inspect(folder, manifest, load_plan(folder / "spec.yaml"), run.result.solid)
     assert found.status == "red"
 
 

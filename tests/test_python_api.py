@@ -27,7 +27,7 @@ NOTEBOOK = Path(__file__).parent.parent / "docs" / "notebooks" / "first-lens.ipy
 
 @pytest.fixture(autouse=True)
 def toys(
-    registry: Registry, without_report: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    registry: Registry, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Lenses take no time, and start in a folder of their own."""
     monkeypatch.setattr(Registry, "load", lambda: registry)
@@ -120,7 +120,7 @@ def test_a_notebook_shows_the_contact_sheet(lens: Run) -> None:
 def test_names_are_escaped_in_a_notebook(lens: Run) -> None:
     from dataclasses import replace
 
-    named = replace(lens, data=replace(lens.data, manifest={**lens.manifest, "name": '<b onload="x">'}))
+    named = replace(lens, result=replace(lens.result, manifest={**lens.manifest, "name": '<b onload="x">'}))
     assert "<b" not in named._repr_html_()
     assert "&lt;b onload=&quot;x&quot;&gt;" in named._repr_html_()
 

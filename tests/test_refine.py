@@ -271,7 +271,6 @@ class Universal(ToyMatcher):
     uses_pictures: ClassVar[bool] = False
 
 
-@pytest.mark.usefixtures("without_report")
 @pytest.mark.parametrize(("matcher", "calls"), [(ToyMatcher, 1), (Universal, 0)])
 def test_lenses_are_refined_once_at_the_end_and_universal_ones_never(
     matcher: type[ToyMatcher], calls: int, write_spec: SpecWriter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

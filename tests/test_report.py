@@ -6,19 +6,22 @@ from collections.abc import Callable
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from magiclens.analysis.annealed import SIDE, before_after, fine_slopes
-from magiclens.analysis.contact import MARK, marked, place
-from magiclens.analysis.differences import difference, gridded
-from magiclens.analysis.ideal import predict
-from magiclens.analysis.overlap import FAINT, coarse, facets_that_look, faded, overlaps, seen
-from magiclens.analysis.surface import wall_picture
-from magiclens.analysis.warp import INK, facet_colours, tinted
+from magiclens import builtin
+from magiclens.analysis.annealing_effect import ANNEALING_EFFECT, before_after, fine_slopes
+from magiclens.analysis.base import Findings
+from magiclens.analysis.contact_sheet import CONTACT_SHEET, MARK, marked, place
+from magiclens.analysis.ideal_picture import predict
+from magiclens.analysis.overlap import FAINT, OVERLAP, coarse, faded, overlaps, seeing_facets, seen
+from magiclens.analysis.picture_error import PICTURE_ERROR, difference, gridded
+from magiclens.analysis.surface import SURFACE, wall_picture
+from magiclens.analysis.warp import TINT, facet_colours, tinted
 from magiclens.contract.artifacts import Assignment, FloatArray, HeightField, IntArray, Lens, Scene, Solid, View
 from magiclens.contract.result import RunResult
 from magiclens.drawing.photographs import photograph
@@ -27,7 +30,7 @@ from magiclens.drawing.shading import hidden_share, sample_heights, shade_height
 from magiclens.drawing.tiles import PAPER_COLOUR, TEXT_LINE, TICK_WIDTH, TILE_GAP, Tile, render_rows, to_pixels
 from magiclens.geometry.facets import central_slopes, patches_seen
 from magiclens.plan.compile import load_plan
-from magiclens.plan.registry import Registry
+from magiclens.plan.registry import Plugin, Registry
 from magiclens.report.tables import measure, metric_rows
 from magiclens.report.write import write_report
 from magiclens.running.pipeline import run_plan
@@ -71,12 +74,21 @@ def run_data(
     n = lens.facets
     offsets, maps = rng.normal(size=(n, n, 2, 2)), np.broadcast_to([0.5, 0.0, 0.5], (n, n, 2, 3))
     candidates = choices(offsets, maps, np.zeros((n, n, 2)))
-    first, chosen = (Assignment.pick(candidates, np.full((n, n), k)) for k in (0, 1))
+    chosen = Assignment.pick(candidates, np.full((n, n), 1))
     field = surface(lens, rng.normal(size=(n, n, 1, 1)))
     solid = Solid(np.zeros((3, 3)), np.array([[0, 1, 2]], np.int32))
     renders = {name: [0.5 * view.target for view in views] for name in renderers}
     scene = Scene(lens, views)
-    return RunResult(scene, scene, candidates, first, chosen, field, solid, renders, manifest(**changes))
+    return RunResult(
+        given=scene, painted=scene, scene=scene, candidates=candidates, assignment=chosen, height_field=field,
+        unfinished=solid, solid=solid, renders=renders, manifest=manifest(**changes),
+    )  # fmt: skip
+
+
+def report_on(result: RunResult, folder: Path) -> None:
+    """Writes the report with the figures of the analyses that need no plan."""
+    analyses = (CONTACT_SHEET, PICTURE_ERROR, SURFACE, ANNEALING_EFFECT, OVERLAP)
+    write_report(result, [figure for each in analyses for figure in each.figures(result, Findings())], folder)
 
 
 def two_turns(target: FloatArray | None = None) -> tuple[View, ...]:
@@ -95,7 +107,7 @@ def data() -> RunResult:
 def report(data: RunResult, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("run")
     (folder / "lens.stl").write_bytes(b"x" * 1234)
-    write_report(data, folder)
+    report_on(data, folder)
     return folder
 
 
@@ -104,7 +116,7 @@ def written(tmp_path: Path) -> Callable[[RunResult], str]:
     """Writes the report of a run and returns its page."""
 
     def write(data: RunResult) -> str:
-        write_report(data, tmp_path)
+        report_on(data, tmp_path)
         return (tmp_path / "report.html").read_text(encoding="utf-8")
 
     return write
@@ -134,7 +146,7 @@ def test_the_contact_sheet_has_a_row_per_view_and_a_column_per_renderer(report: 
 
 def test_equal_runs_give_equal_reports(data: RunResult, report: Path, tmp_path: Path) -> None:
     (tmp_path / "lens.stl").write_bytes(b"x" * 1234)
-    write_report(data, tmp_path)
+    report_on(data, tmp_path)
     for path in (p for p in report.rglob("*") if p.is_file()):
         assert (tmp_path / path.relative_to(report)).read_bytes() == path.read_bytes(), path.name
 
@@ -196,6 +208,7 @@ def test_colour_views_stay_coloured(written: Callable[[RunResult], str], tmp_pat
 
 
 def test_a_run_writes_its_report(write_spec: SpecWriter, registry: Registry, tmp_path: Path) -> None:
+    registry.register(SimpleNamespace(mlens_analyses=builtin.mlens_analyses), Plugin("figures", "magiclens", "1"))
     run = run_plan(load_plan(write_spec(), (), registry), tmp_path / "out")
     paths = [artifact["path"] for artifact in run.manifest["artifacts"]]
     assert {"report.html", *(f"figures/{name}.png" for name in FIGURES)} <= set(paths)
@@ -214,7 +227,7 @@ def test_facets_that_see_their_own_places_cover_the_source_once() -> None:
 def test_a_source_pixel_knows_the_facet_that_sees_it() -> None:
     lens = small_lens(2, source=12.0)
     to = np.array([[[3.0, -3.0], [-3.0, 0.0]], [[0.0, 30.0], [0.0, 0.0]]])  # the third one looks beyond the source
-    facets = facets_that_look(lens, patches_seen(blank_scene(lens), assigned(to, IDENTITY), np.array(ABOVE)), 4)
+    facets = seeing_facets(lens, patches_seen(blank_scene(lens), assigned(to, IDENTITY), np.array(ABOVE)), 4)
     assert facets.tolist() == [[-1] * 4, [-1, 1, -1, -1], [-1, -1, 3, -1], [-1] * 4]
 
 
@@ -223,7 +236,7 @@ def test_pictures_take_the_tints_of_facets_and_what_nothing_sees_turns_grey() ->
     assert len(np.unique(colours.round(3), axis=0)) == 16
     facets = np.array([[5, 5, -1, -1]] * 4)
     picture = tinted(np.ones((4, 4, 1), np.float32), facets, colours)
-    np.testing.assert_allclose(picture[0, 0], 255 * (1 - INK + INK * colours[5]), atol=1)
+    np.testing.assert_allclose(picture[0, 0], 255 * (1 - TINT + TINT * colours[5]), atol=1)
     np.testing.assert_array_equal(picture[0, 1], FAINT[1])
 
 
@@ -366,12 +379,12 @@ def test_before_and_after_annealing_are_as_the_first_eye_of_all_sees_them() -> N
     data = replace(data, candidates=replace(data.candidates, heights_mm=np.full((4, 4), -1.0)))
     tiles = before_after(data).rows[1]
     levels = [np.full((4, 4), -1.0), data.height_field.levels_mm]
-    for tile, chosen, heights in zip(tiles, (data.first, data.assignment), levels, strict=True):
-        pictures = predict(data.scene, chosen, SIDE, 4, heights)
+    for tile, chosen, heights in zip(tiles, (data.best_match, data.assignment), levels, strict=True):
+        pictures = predict(data.scene, chosen, len(tile.picture), 4, heights)
         photos = [photograph(picture, view) for picture, view in zip(pictures, views, strict=True)]
         assert tile.caption == f"view: {photos[0].caption}"
-        assert np.array_equal(tile.picture, to_pixels(photos[0].picture, SIDE))
-        assert not np.array_equal(tile.picture, to_pixels(photos[1].picture, SIDE))
+        assert np.array_equal(tile.picture, to_pixels(photos[0].picture, len(tile.picture)))
+        assert not np.array_equal(tile.picture, to_pixels(photos[1].picture, len(tile.picture)))
 
 
 @pytest.mark.parametrize(

@@ -29,12 +29,7 @@ Sweeper = Callable[..., Sweep]
 
 
 @pytest.fixture
-def toys(without_report: None) -> None:
-    """Runs take no time."""
-
-
-@pytest.fixture
-def sweep(toys: None, write_spec: SpecWriter, registry: Registry, tmp_path: Path) -> Sweeper:
+def sweep(write_spec: SpecWriter, registry: Registry, tmp_path: Path) -> Sweeper:
     """Sweeps the toy spec into a folder of that name."""
 
     def start(*settings: str, out: str = "sweep", stages: Registry = registry, **more: Any) -> Sweep:
@@ -44,7 +39,7 @@ def sweep(toys: None, write_spec: SpecWriter, registry: Registry, tmp_path: Path
 
 
 @pytest.fixture
-def mlens(toys: None, registry: Registry, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Result]:
+def mlens(registry: Registry, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Result]:
     """Runs a command with the toy plugin installed."""
     monkeypatch.setattr(Registry, "load", lambda: registry)
     return lambda *arguments: CliRunner().invoke(app, [str(a) for a in arguments])
@@ -340,7 +335,7 @@ def test_quiet_sweeps_say_nothing(mlens: Any, write_spec: SpecWriter, tmp_path: 
 
 
 def test_a_sweep_with_failures_ends_with_1(
-    toys: None, brittle: Registry, write_spec: SpecWriter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    brittle: Registry, write_spec: SpecWriter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Registry, "load", lambda: brittle)
     command = ["sweep", str(write_spec()), "--set", "lens.facets=2,3", "--out", str(tmp_path / "s")]

@@ -64,6 +64,10 @@ def pictures(tmp_path: Path) -> None:
         write_png(tmp_path / f"{name}.png", picture[..., None])
 
 
+BARE = "report.analyses=[]"
+"""Tests that are about the lens alone draw no figures."""
+
+
 def made(write_spec: SpecWriter, tmp_path: Path, text: str, out: str, *overrides: str) -> Run:
     return run_spec(write_spec(text=text), tmp_path / out, overrides)
 
@@ -76,33 +80,33 @@ def test_an_injective_lens_shows_every_frame_and_nothing_strays(write_spec: Spec
     assert metrics["leak"] < 1e-4
     assert run.manifest["views"][0]["psnr_db"] > 24
     assert run.manifest["views"][1]["psnr_db"] > 28
-    pictures, targets = run.data.renders["tracer"], [view.target for view in run.data.scene.views]
+    pictures, targets = run.result.renders["tracer"], [view.target for view in run.result.scene.views]
     assert score(pictures[0], targets[1]).psnr_db < 12
     assert {"overlap.png", "secrecy.png", "warp.png"} <= {path.name for path in (run.folder / "figures").iterdir()}
-    for view in run.data.scene.views:  # what is written is what was rendered
+    for view in run.result.scene.views:  # what is written is what was rendered
         written = read_image(run.folder / "sources" / f"{view.source_name}.png")
         np.testing.assert_allclose(to_display(written), to_display(view.source), atol=0.501 / 255)
         assert score(view.source, view.target).psnr_db < 12
 
 
-@pytest.mark.usefixtures("pictures", "without_report")
+@pytest.mark.usefixtures("pictures")
 def test_the_lens_does_not_depend_on_what_it_will_show(write_spec: SpecWriter, tmp_path: Path) -> None:
-    one = made(write_spec, tmp_path, SPEC, "one")
+    one = made(write_spec, tmp_path, SPEC, "one", BARE)
     black = "scenario.source={type: plain, level: 0%}"
-    other = made(write_spec, tmp_path, SPEC, "other", "scenario.frames={art: worm, length: 1}", black)
-    reseeded = made(write_spec, tmp_path, SPEC, "reseeded", "seed=1")
+    other = made(write_spec, tmp_path, SPEC, "other", "scenario.frames={art: worm, length: 1}", black, BARE)
+    reseeded = made(write_spec, tmp_path, SPEC, "reseeded", "seed=1", BARE)
     meshes = [(run.folder / "lens.stl").read_bytes() for run in (one, other, reseeded)]
     assert meshes[0] == meshes[1]
     assert meshes[0] != meshes[2]
 
 
-@pytest.mark.usefixtures("pictures", "without_report")
+@pytest.mark.usefixtures("pictures")
 def test_questions_stay_as_they_were_and_answers_appear(write_spec: SpecWriter, tmp_path: Path) -> None:
     run = made(write_spec, tmp_path, QUESTIONS, "out")
-    reserved = run.data.scene.reserved
+    reserved = run.result.scene.reserved
     assert reserved is not None
     assert 0.01 < reserved.mean() < 0.1
-    for view in run.data.scene.views:
+    for view in run.result.scene.views:
         given, painted = (read_image(run.folder / kind / f"{view.source_name}.png") for kind in ("given", "sources"))
         np.testing.assert_array_equal(given[reserved], painted[reserved])
         assert (given != painted)[~reserved].mean() > 0.2
@@ -112,7 +116,6 @@ def test_questions_stay_as_they_were_and_answers_appear(write_spec: SpecWriter, 
     assert min(view["psnr_db"] for view in run.manifest["views"]) > 22
 
 
-@pytest.mark.usefixtures("without_report")
 def test_codesign_improves_the_picture_and_keeps_the_source(write_spec: SpecWriter, tmp_path: Path) -> None:
     plain = made(write_spec, tmp_path, CODESIGN, "plain")
     encoder = "pipeline.encoder={type: least-squares, change: 30%}"
@@ -124,10 +127,10 @@ def test_codesign_improves_the_picture_and_keeps_the_source(write_spec: SpecWrit
     assert not (plain.folder / "given").exists()
 
 
-@pytest.mark.usefixtures("pictures", "without_report")
+@pytest.mark.usefixtures("pictures")
 def test_the_same_spec_gives_the_same_bytes(write_spec: SpecWriter, tmp_path: Path) -> None:
     texture = "scenario.camouflage={type: texture}"
-    folders = [made(write_spec, tmp_path, SPEC, out, texture).folder for out in ("a", "b")]
+    folders = [made(write_spec, tmp_path, SPEC, out, texture, BARE).folder for out in ("a", "b")]
     names = [{p.relative_to(f).as_posix() for p in f.rglob("*") if p.is_file()} for f in folders]
     assert names[0] == names[1]
     for name in names[0] - {"manifest.json"}:

@@ -10,12 +10,12 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic import Field
 
+from magiclens import builtin
 from magiclens.contract.artifacts import Assignment, Candidates, FloatArray, HeightField, Scene, Solid
 from magiclens.contract.hookspecs import hookimpl
 from magiclens.contract.stages import Annealer, Exporter, Finisher, Integrator, Matcher, Progress, Renderer, silent
 from magiclens.contract.units import Length, LengthOrPercent, relative
 from magiclens.images.resample import resize
-from magiclens.plan import builtin
 from magiclens.plan.registry import Plugin, Registry
 
 CANDIDATES = 3

@@ -2,19 +2,54 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
+from magiclens.analysis.base import Analysis, Findings
 from magiclens.contract.artifacts import Assignment, FloatArray, Lens, Scene, View
-from magiclens.contract.result import Secrecy
+from magiclens.contract.result import RunResult
+from magiclens.drawing.figure import Figure
+from magiclens.drawing.scales import GLOW, ColourScale
+from magiclens.drawing.tiles import Tile, to_pixels
+from magiclens.plan.compile import Plan
 
-PIXELS = 16
-"""Per side of the tiles that are compared."""
-LOOKS = 3
-"""Look-ups in the source per side of such a pixel."""
+_PIXELS = 16
+"""Pixels per side of the tiles that are compared."""
+_SAMPLES = 3
+"""Samples of the source per side of such a pixel."""
+_SIDE = 400
+
+
+@dataclass(frozen=True)
+class Secrecy:
+    """What painted sources give away to somebody without the lens (section 7), on average over the views.
+
+    Attributes:
+        psnr_db: Of the sources against their targets.
+        ssim: Of the sources against their targets.
+        tiles: (N, N) likeness, 0 to 1, of each tile of the target and the patch that its facet shows.
+        chance: The mean likeness of tiles and other facets' patches.
+    """
+
+    psnr_db: float
+    ssim: float
+    tiles: FloatArray
+    chance: float
+
+    @property
+    def metrics(self) -> dict[str, float]:
+        """For the manifest."""
+        return {
+            "stealth_psnr_db": self.psnr_db,
+            "stealth_ssim": self.ssim,
+            "tile_leakage": float(self.tiles.mean()),
+            "tile_leakage_by_chance": self.chance,
+        }
 
 
 def secrecy(scene: Scene, assignment: Assignment) -> Secrecy:
-    """The sources of a scene as somebody without the lens sees them."""
+    """Compare the painted sources of a scene with its targets: whole, tile by tile, and with tiles of other facets."""
     from magiclens.images import score
 
     whole = [score(view.source, view.target) for view in scene.views]
@@ -26,27 +61,79 @@ def secrecy(scene: Scene, assignment: Assignment) -> Secrecy:
 
 
 def tile_likeness(lens: Lens, assignment: Assignment, view: View, shift: int = 0) -> FloatArray:
-    """(N, N): how alike each target tile and the patch that a facet looks at are, 1 less the mean absolute difference.
+    """How alike each tile of the target and the patch of its facet are: 1 less the mean absolute difference.
 
-    What remains of secrecy when an attacker has found the patches, but not yet where each belongs. With a ``shift``,
-    tiles are compared with other facets' patches, so many facets further on: what chance would give.
+    This is what an attacker sees who has found the patches, but not yet where each belongs.
+
+    Args:
+        lens: The lens.
+        assignment: Which patch every facet shows.
+        view: Its source is painted.
+        shift: Compare each tile with the patch of the facet so many facets further on, for the likeness by chance.
+
+    Returns:
+        (N, N) likeness, 0 to 1, of luminance in display values.
     """
     from scipy.ndimage import map_coordinates
 
     from magiclens.images import luminance, resize, to_display
 
     local, n = view.in_lens_frame(), lens.facets
-    tiles = to_display(luminance(resize(local.target, (n * PIXELS, n * PIXELS))))
-    tiles = tiles.reshape(n, PIXELS, n, PIXELS).transpose(0, 2, 1, 3)
-    at = ((np.arange(PIXELS * LOOKS) + 0.5) / (PIXELS * LOOKS) - 0.5) * lens.pitch_mm
+    tiles = to_display(luminance(resize(local.target, (n * _PIXELS, n * _PIXELS))))
+    tiles = tiles.reshape(n, _PIXELS, n, _PIXELS).transpose(0, 2, 1, 3)
+    at = ((np.arange(_PIXELS * _SAMPLES) + 0.5) / (_PIXELS * _SAMPLES) - 0.5) * lens.pitch_mm
     x, y = at[None, None, None, :], -at[None, None, :, None]
     xx, xy, yy = (m[:, :, None, None] for m in np.moveaxis(assignment.maps.astype(np.float64), -1, 0))
     cx, cy = (c[:, :, None, None] for c in np.moveaxis(lens.facet_centres_mm() + assignment.offsets_mm, -1, 0))
     source = luminance(local.source)
     per_mm, half = len(source) / lens.source_size_mm, len(source) / 2 - 0.5
     rows, columns = half - (cy + xy * x + yy * y) * per_mm, half + (cx + xx * x + xy * y) * per_mm
-    looks = map_coordinates(source, [rows, columns], order=1, mode="nearest")
-    patches = to_display(looks.reshape(n * n, PIXELS, LOOKS, PIXELS, LOOKS).mean(axis=(2, 4)))
+    samples = map_coordinates(source, [rows, columns], order=1, mode="nearest")
+    patches = to_display(samples.reshape(n * n, _PIXELS, _SAMPLES, _PIXELS, _SAMPLES).mean(axis=(2, 4)))
     patches = np.roll(patches, shift, axis=0).reshape(tiles.shape)
     likeness: FloatArray = 1 - np.abs(patches - tiles).mean(axis=(2, 3))
     return likeness
+
+
+def secrecy_map(result: RunResult, found: Secrecy) -> Figure:
+    """The first source, its target, and how much of each tile can be read in its patch."""
+    view = result.scene.views[0]
+    scale = ColourScale(GLOW, 0.0, 1.0)
+    facet = np.arange(_SIDE) * len(found.tiles) // _SIDE
+    bits = result.manifest["metrics"].get("permutation_bits")
+    key_size = f"; about 2^{bits:.0f} lenses of this kind exist" if bits else ""
+    of_target = f"PSNR {found.psnr_db:.1f} dB, SSIM {found.ssim:.2f} of the target"
+    row = [
+        Tile(to_pixels(view.source, _SIDE), "Source", of_target),
+        Tile(to_pixels(view.target, _SIDE), "Target", view.name),
+        Tile(
+            scale.paint(found.tiles[facet[:, None], facet]),
+            "Readable in its own patch",
+            f"{found.tiles.mean():.2f} on average, {found.chance:.2f} by chance{key_size}",
+            scale,
+        ),
+    ]
+    return Figure(
+        "secrecy",
+        "What the source gives away",
+        [row],
+        "To somebody without the lens the source looks unlike the target. Its patches hold the tiles of the target, "
+        "shuffled and mirrored: 1 where a patch shows its tile exactly.",
+    )
+
+
+def _applies(plan: Plan) -> bool:
+    return plan.encoder is not None
+
+
+def _compute(plan: Plan, result: RunResult) -> Findings:
+    found = secrecy(result.painted, result.assignment)
+    return Findings(found.metrics, found)
+
+
+def _figures(result: RunResult, findings: Findings) -> list[Figure]:
+    return [secrecy_map(result, findings.details)]
+
+
+SECRECY = Analysis("secrecy", _applies, _compute, _figures)
+"""What painted sources give away."""

@@ -4,22 +4,24 @@ from __future__ import annotations
 
 import numpy as np
 
+from magiclens.analysis.base import Analysis, Findings
 from magiclens.contract.artifacts import FloatArray, HeightField
+from magiclens.contract.result import RunResult
 from magiclens.drawing.figure import Figure
 from magiclens.drawing.scales import DIVERGING, GLOW, ColourScale
 from magiclens.drawing.shading import sample_heights, shade_heights
 from magiclens.drawing.tiles import OVERSAMPLING, Tile, mean_of_blocks, paint_smoothly, to_pixels
 from magiclens.integration.measures import steps
 
-SIDE = 640
+_SIDE = 640
 
 
 def height_map(field: HeightField) -> Figure:
     """Heights in colours, and the top in the light."""
-    heights = sample_heights(field, OVERSAMPLING * SIDE)
+    heights = sample_heights(field, OVERSAMPLING * _SIDE)
     scale = ColourScale(DIVERGING, -_reach(heights), _reach(heights))
     extent = f"{field.heights_mm.min():+.2f} to {field.heights_mm.max():+.2f} mm about the reference plane"
-    cast = to_pixels(mean_of_blocks(shade_heights(heights, field.lens.size_mm / len(heights))), SIDE)
+    cast = to_pixels(mean_of_blocks(shade_heights(heights, field.lens.size_mm / len(heights))), _SIDE)
     tiles = [
         Tile(paint_smoothly(scale, heights), "Height in mm", extent, scale),
         Tile(cast, "The lens in slanting light", "the lamp is at the upper left"),
@@ -37,7 +39,7 @@ def step_map(field: HeightField) -> Figure:
     jumps = np.concatenate([right.ravel(), below.ravel()]) if right.size else np.zeros(1)
     scale = ColourScale(GLOW, 0.0, max(float(np.quantile(jumps, 0.995)), 1e-3))
     caption = f"mean {jumps.mean():.3f} mm, highest {jumps.max():.2f} mm"
-    picture = paint_smoothly(scale, wall_picture(right, below, OVERSAMPLING * SIDE))
+    picture = paint_smoothly(scale, wall_picture(right, below, OVERSAMPLING * _SIDE))
     tile = Tile(picture, "Step across each wall in mm", caption, scale)
     return Figure(
         "steps",
@@ -63,5 +65,13 @@ def wall_picture(right: FloatArray, below: FloatArray, side: int) -> FloatArray:
 
 
 def _reach(heights: FloatArray) -> float:
-    """How far heights leave the reference plane; never nothing."""
+    """The largest distance of heights from the reference plane, mm; at least 1 um, so that a scale has an extent."""
     return max(float(np.abs(heights).max()), 1e-3)
+
+
+def _figures(result: RunResult, findings: Findings) -> list[Figure]:
+    return [height_map(result.height_field), step_map(result.height_field)]
+
+
+SURFACE = Analysis("surface", figures=_figures)
+"""The heights of the lens, and the steps between its facets."""

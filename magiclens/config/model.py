@@ -211,6 +211,14 @@ class PipelineSpec(SpecModel):
         return {**usual, **written} if written.get("type", usual["type"]) == usual["type"] else written
 
 
+class ReportSpec(SpecModel):
+    """What a run finds out about the finished lens, beyond its renders."""
+
+    analyses: list[str] | None = Field(
+        None, description="names of the analyses to run; all that apply to the lens if left out, none for []"
+    )
+
+
 class Spec(SpecModel):
     """A whole spec. Every key but ``scenario`` has a default."""
 
@@ -222,3 +230,4 @@ class Spec(SpecModel):
     medium: Medium | None = Field(None, description="black and white of what shows the source; ideal ones if left out")
     fabrication: MachineChoice = Field(None, description="the machine that makes the lens: its limits hold")
     pipeline: PipelineSpec = Field(default_factory=PipelineSpec, description="the stages")
+    report: ReportSpec = Field(default_factory=ReportSpec, description="what is found out about the finished lens")

@@ -54,6 +54,11 @@ def mlens_executors() -> Sequence[type[Executor]]:  # type: ignore[empty-body]
 
 
 @hookspec
+def mlens_analyses() -> Sequence[Any]:  # type: ignore[empty-body]
+    """Analyses this plugin contributes (see magiclens.Analysis), in the order of their figures in the report."""
+
+
+@hookspec
 def mlens_stage_done(stage: Stage, artifact: Any, seconds: float) -> None:
     """Observe a stage that is done.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -41,9 +42,10 @@ def photograph(picture: FloatArray, view: View) -> Photograph:
     return Photograph(np.clip(picture * np.float32(found.gain), 0, 1), target, found)
 
 
-def photographs(data: RunResult) -> dict[str, list[Photograph]]:
-    """The photographs of a run by renderer, one for each view."""
+@lru_cache(maxsize=1)
+def photographs(result: RunResult) -> dict[str, list[Photograph]]:
+    """The photographs of a run by renderer, one for each view; kept, since several figures and the page show them."""
     return {
-        renderer: [photograph(picture, view) for picture, view in zip(pictures, data.scene.views, strict=True)]
-        for renderer, pictures in data.renders.items()
+        renderer: [photograph(picture, view) for picture, view in zip(pictures, result.scene.views, strict=True)]
+        for renderer, pictures in result.renders.items()
     }

@@ -18,7 +18,7 @@ from magiclens.config.suggest import advice, unknown
 from magiclens.contract.artifacts import Lens, Scene
 from magiclens.contract.stages import Annealer, Encoder, Exporter, Finisher, Integrator, Matcher, Renderer, Stage
 from magiclens.plan.blame import blaming
-from magiclens.plan.registry import NAMED_ART, SCENARIO, STAGE, Plugin, Registry
+from magiclens.plan.registry import ANALYSIS, NAMED_ART, SCENARIO, STAGE, Plugin, Registry
 from magiclens.scenarios.base import Scenario, Shot
 
 S = TypeVar("S", bound=Stage)
@@ -48,6 +48,27 @@ class Step(Generic[S]):
         """The stage as a spec writes it, with every option. ``inputs`` collects its files, as in ``Plan.resolved``."""
         with blaming(str(self)):
             return {"type": self.stage.type, **self.stage.model_dump(mode="json", context={"inputs": inputs})}
+
+
+@dataclass(frozen=True)
+class PlannedAnalysis:
+    """An analysis that a run does.
+
+    Attributes:
+        analysis: What a plugin contributes, a ``magiclens.Analysis``.
+        plugin: The plugin.
+    """
+
+    analysis: Any
+    plugin: Plugin
+
+    @property
+    def name(self) -> str:
+        """The name by which a spec picks it."""
+        return str(self.analysis.name)
+
+    def __str__(self) -> str:
+        return f"analysis {self.name} ({self.plugin})"
 
 
 @dataclass(frozen=True)
@@ -89,6 +110,22 @@ class Plan:
         """All stages, in pipeline order."""
         single = (self.matcher, self.annealer, self.integrator, self.finisher)
         return (*single, *([self.encoder] if self.encoder else []), *self.exporters, *self.renderers)
+
+    @property
+    def analyses(self) -> tuple[PlannedAnalysis, ...]:
+        """The analyses that the spec wants and that apply to the lens, in the order in which plugins list them."""
+        wanted = self.spec.report.analyses
+        chosen = (self._analysis(name) for name in self.registry.classes(ANALYSIS) if wanted is None or name in wanted)
+        return tuple(planned for planned in chosen if self._applies(planned))
+
+    def _analysis(self, name: str) -> PlannedAnalysis:
+        found = self.registry.find(ANALYSIS, name)
+        assert found is not None
+        return PlannedAnalysis(*found)
+
+    def _applies(self, planned: PlannedAnalysis) -> bool:
+        with blaming(str(planned)):
+            return bool(planned.analysis.applies(self))
 
     def shots(self) -> tuple[Shot, ...]:
         """The views before their pictures are loaded."""
@@ -172,6 +209,7 @@ class _Compiler:
             suited = self._fabrication.suited(suited, spec.lens.wall)
         steps = self._steps(suited)
         lens = self._fit(spec, scenario, scenario_plugin) if spec and scenario else None
+        self._check_analyses(spec)
         settle = self._checker.settle
         return Plan(
             spec=settle(spec),
@@ -204,6 +242,12 @@ class _Compiler:
         single = {k: [self._step(k, choice, ("pipeline", k))] if choice else [] for k, choice in choices.items()}
         several = {key: self._list(key, getattr(pipeline, key)) for key in LISTED_STAGES}
         return {**single, **several}
+
+    def _check_analyses(self, spec: Spec | None) -> None:
+        """Every analysis that a spec names exists; those that do not apply to the lens are left out of the plan."""
+        for i, name in enumerate((spec and spec.report.analyses) or []):
+            if self._registry.find(ANALYSIS, name) is None:
+                self._checker.add(("report", "analyses", i), self._unknown(name, ANALYSIS))
 
     def _list(self, key: str, choices: list[Choice]) -> list[Step[Any] | None]:
         """The stages of a list; no two of them may write the same files."""

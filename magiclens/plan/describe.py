@@ -46,6 +46,7 @@ def _stage_lines(plan: Plan) -> list[str]:
     for step in plan.steps:
         lines.append(f"  {step}, version {step.stage.version}")
         lines += [f"    {key}: {_inline(value)}" for key, value in step.choice().items() if key != "type"]
+    lines.append(f"analyses: {', '.join(planned.name for planned in plan.analyses) or 'none'}")
     return lines
 
 

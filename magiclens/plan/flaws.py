@@ -37,6 +37,14 @@ def executor_flaw(cls: Any) -> str | None:
     return _class_flaw(cls) or _lacks(cls, "map")
 
 
+def analysis_flaw(analysis: Any) -> str | None:
+    """What keeps an object from being an analysis."""
+    if not isinstance(getattr(analysis, "name", None), str):
+        return f"{analysis!r} has no name"
+    missing = [part for part in ("applies", "compute", "figures") if not callable(getattr(analysis, part, None))]
+    return f"{analysis.name} lacks {', '.join(missing)}" if missing else None
+
+
 def art_flaw(name: Any, draw: Any) -> str | None:
     """What keeps a name and a function from being a named picture."""
     if isinstance(name, str) and callable(draw):

@@ -6,7 +6,7 @@ from dataclasses import asdict
 from typing import Any
 
 from magiclens.contract.stages import KINDS
-from magiclens.plan.registry import EXECUTOR, NAMED_ART, SCENARIO, STAGE, Contribution, Failure, Registry
+from magiclens.plan.registry import ANALYSIS, EXECUTOR, NAMED_ART, SCENARIO, STAGE, Contribution, Failure, Registry
 
 
 def describe_plugins(registry: Registry) -> str:
@@ -45,7 +45,7 @@ def _failure_data(failure: Failure) -> dict[str, Any]:
 
 def _ranked(registry: Registry) -> list[tuple[tuple[str, ...], Contribution]]:
     """Contributions with their keys, in the order of the pipeline, then of names."""
-    kinds, tables = list(KINDS), (STAGE, SCENARIO, NAMED_ART, EXECUTOR)
+    kinds, tables = list(KINDS), (STAGE, SCENARIO, NAMED_ART, EXECUTOR, ANALYSIS)
 
     def rank(key: tuple[str, ...]) -> tuple[int, int, str]:
         return tables.index(key[0]), kinds.index(key[1]) if key[0] == STAGE else 0, key[-1]

@@ -26,7 +26,7 @@ from magiclens.contract.artifacts import FloatArray
 from magiclens.contract.errors import InputError, StageError, Terminated
 from magiclens.plan.blame import Blamed, blaming
 from magiclens.plan.capture import captured_output
-from magiclens.plan.flaws import art_flaw, executor_flaw, scenario_flaw, stage_flaw
+from magiclens.plan.flaws import analysis_flaw, art_flaw, executor_flaw, scenario_flaw, stage_flaw
 
 STAGE = "stage"
 """First key of stages in a registry; the second is their kind, the third their type."""
@@ -39,6 +39,9 @@ NAMED_ART = "art"
 
 EXECUTOR = "executor"
 """First key of executors in a registry; the second is their type."""
+
+ANALYSIS = "analysis"
+"""First key of analyses in a registry; the second is their name."""
 
 _DISABLED_VARIABLE = "MLENS_DISABLE_PLUGINS"
 """Environment variable that names the plugins to leave alone, by package or entry point, between commas or blanks."""
@@ -141,6 +144,7 @@ class Registry:
             self._collect(implementation, plugin, "mlens_scenarios", self._add_scenarios)
             self._collect(implementation, plugin, "mlens_art", self._add_art)
             self._collect(implementation, plugin, "mlens_executors", self._add_executors)
+            self._collect(implementation, plugin, "mlens_analyses", self._add_analyses)
 
     def find(self, *key: str) -> tuple[Any, Plugin] | None:
         """A contribution and its plugin.
@@ -182,12 +186,12 @@ class Registry:
         return {name: partial(self._draw, name) for name in self.types(NAMED_ART)}
 
     def classes(self, *kind: str) -> dict[str, Any]:
-        """The classes that the names of ``types(*kind)`` are of."""
-        return {name: self._contributions[*kind, name].value for name in self.types(*kind)}
+        """What the names of ``types(*kind)`` stand for, in the order in which plugins list them."""
+        return {key[-1]: one.value for key, one in self._contributions.items() if key[:-1] == kind}
 
     @property
     def contributions(self) -> Mapping[tuple[str, ...], Contribution]:
-        """Everything: (STAGE, kind, type), (SCENARIO, type), (NAMED_ART, name), (EXECUTOR, type)."""
+        """Everything: (STAGE, kind, type), (SCENARIO, type), (NAMED_ART, name), (EXECUTOR, type), (ANALYSIS, name)."""
         return dict(self._contributions)
 
     def notify(self, hook: str, **arguments: Any) -> list[str]:
@@ -270,6 +274,10 @@ class Registry:
     def _add_executors(self, classes: Iterable[Any], plugin: Plugin) -> None:
         for cls in self._sound(classes, executor_flaw, plugin, "mlens_executors"):
             self._add((EXECUTOR, cls.type), cls, plugin)
+
+    def _add_analyses(self, analyses: Iterable[Any], plugin: Plugin) -> None:
+        for analysis in self._sound(analyses, analysis_flaw, plugin, "mlens_analyses"):
+            self._add((ANALYSIS, analysis.name), analysis, plugin)
 
     def _add_art(self, pictures: Mapping[str, Any], plugin: Plugin) -> None:
         for name, draw in self._sound(pictures.items(), lambda picture: art_flaw(*picture), plugin, "mlens_art"):

@@ -6,9 +6,8 @@ import base64
 import io
 from html import escape
 
-from magiclens.analysis.contact import contact_sheet
+from magiclens.analysis.contact_sheet import contact_sheet
 from magiclens.contract.result import RunResult
-from magiclens.drawing.photographs import photographs
 from magiclens.drawing.tiles import render_rows
 
 WIDEST = 960
@@ -17,7 +16,7 @@ WIDEST = 960
 
 def contact_html(data: RunResult) -> str:
     """A figure whose picture is within it; names that users wrote are escaped."""
-    figure = contact_sheet(data, photographs(data))
+    figure = contact_sheet(data)
     picture = render_rows(figure.rows)
     if picture.width > WIDEST:
         picture = picture.resize((WIDEST, picture.height * WIDEST // picture.width))

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from magiclens.analysis.contact import place
+from magiclens.analysis.contact_sheet import place
 from magiclens.contract.artifacts import Scene
 from magiclens.contract.result import RunResult
 from magiclens.drawing.photographs import Photograph

@@ -2,17 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from magiclens.analysis.annealed import before_after
-from magiclens.analysis.contact import contact_sheet
-from magiclens.analysis.differences import error_map
-from magiclens.analysis.overlap import overlap_map
-from magiclens.analysis.secrecy_figure import secrecy_map
-from magiclens.analysis.surface import height_map, step_map
-from magiclens.analysis.warp import warp_map
-from magiclens.analysis.zone_figures import zone_figures
 from magiclens.contract.result import RunResult
 from magiclens.drawing.figure import Figure
 from magiclens.drawing.photographs import photographs
@@ -23,25 +16,19 @@ if TYPE_CHECKING:
     from PIL.PngImagePlugin import PngInfo
 
 
-def write_report(data: RunResult, folder: Path) -> None:
-    """Write ``figures/*.png`` and ``report.html`` into a run folder; equal runs give equal bytes."""
-    scene, seen = data.scene, photographs(data)
-    figures = [
-        contact_sheet(data, seen),
-        *(zone_figures(data, data.zone) if data.zone else []),
-        *([warp_map(data)] if data.matched else []),
-        *([secrecy_map(data, data.secrecy)] if data.secrecy else []),
-        *(error_map(name, photos, scene.views, scene.lens.facets) for name, photos in list(seen.items())[:1]),
-        height_map(data.height_field),
-        step_map(data.height_field),
-        before_after(data),
-        overlap_map(data),
-    ]
-    (folder / "figures").mkdir(exist_ok=True)
+def write_report(result: RunResult, figures: Sequence[Figure], folder: Path) -> None:
+    """Write ``figures/*.png`` and ``report.html`` into a run folder; equal runs give equal bytes.
+
+    Args:
+        result: The run; its manifest is complete but for timings and files.
+        figures: What its analyses have drawn, in the order of the page.
+        folder: The run folder.
+    """
     for figure in figures:
+        (folder / "figures").mkdir(exist_ok=True)
         path = folder / "figures" / f"{figure.name}.png"
         render_rows(figure.rows).save(path, "PNG", compress_level=4, pnginfo=_words(figure))
-    (folder / "report.html").write_text(page(data, folder, figures, seen), encoding="utf-8")
+    (folder / "report.html").write_text(page(result, folder, figures, photographs(result)), encoding="utf-8")
 
 
 def _words(figure: Figure) -> PngInfo:

@@ -1,53 +1,42 @@
-"""The only loop: calls the stages of a plan one after the other and records what they did."""
+"""Runs a plan: calls its stages one after the other, analyses the lens, and writes the run folder."""
 
 from __future__ import annotations
 
-import shutil
-from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from time import perf_counter
-from typing import Any, TypeVar
+from typing import Any
 
-import numpy as np
-
+from magiclens.analysis.base import Findings
 from magiclens.config.document import document_of
 from magiclens.config.fields import Inputs
 from magiclens.config.model import Spec
-from magiclens.contract.artifacts import Assignment, Candidates, FloatArray, HeightField, Scene, Solid, Transport
-from magiclens.contract.checks import (
-    BadArtifact,
-    check_assignment,
-    check_candidates,
-    check_encoded,
-    check_file,
-    check_height_field,
-    check_pictures,
-    check_solid,
-)
-from magiclens.contract.errors import InputError
-from magiclens.contract.result import RunResult, Zone
-from magiclens.contract.stages import KINDS, Exporter, Progress, Renderer
-from magiclens.plan.blame import Blamed, blaming
-from magiclens.plan.compile import Plan, Step, compile_plan, load_plan
+from magiclens.contract.artifacts import FloatArray, Scene, Solid
+from magiclens.contract.checks import BadArtifact, check_file, check_pictures, check_solid
+from magiclens.contract.result import RunResult
+from magiclens.contract.stages import Exporter, Progress
+from magiclens.drawing.figure import Figure
+from magiclens.plan.blame import blaming
+from magiclens.plan.compile import Plan, PlannedAnalysis, Step, compile_plan, load_plan
 from magiclens.plan.registry import Registry
-from magiclens.profiles.machines import Machine
-from magiclens.running.folder import atomic_folder, save_heights, save_transport
-from magiclens.running.manifest import (
-    ScoresByRenderer,
-    build_manifest,
-    render_path,
-    spec_text,
-    target_path,
-    write_manifest,
-)
+from magiclens.running.design import Designer
+from magiclens.running.folder import atomic_folder, save_heights
+from magiclens.running.manifest import ScoresByRenderer, build_manifest, spec_text, write_manifest
 from magiclens.running.observers import Observer
+from magiclens.running.steps import QuietSteps, Steps
+from magiclens.running.writing import (
+    copy_inputs,
+    save_transports,
+    write_animations,
+    write_figure_pictures,
+    write_pictures,
+    write_renders,
+    write_sources,
+)
 
-T = TypeVar("T")
 Renders = dict[str, list[FloatArray]]
-Generators = dict[str, np.random.Generator]
+Analysed = list[tuple[PlannedAnalysis, Findings]]
 
 
 @dataclass(frozen=True, repr=False)
@@ -56,28 +45,28 @@ class Run:
 
     folder: Path
     manifest: dict[str, Any]
-    data: RunResult
+    result: RunResult
 
     @property
     def sources(self) -> dict[str, FloatArray]:
         """(H, W, C) float32, linear light, by name: what lies below the lens, on its paper or screen."""
-        return {view.source_name: view.source for view in self.data.scene.views}
+        return {view.source_name: view.source for view in self.result.scene.views}
 
     @property
     def targets(self) -> dict[str, FloatArray]:
         """(H, W, C) float32, linear light, by view: what the eye shall see."""
-        return {view.name: view.target for view in self.data.scene.views}
+        return {view.name: view.target for view in self.result.scene.views}
 
     @property
     def renders(self) -> dict[str, dict[str, FloatArray]]:
         """(R, R, C) float32, linear light, by renderer and view: what the eye sees."""
-        names = [view.name for view in self.data.scene.views]
-        return {name: dict(zip(names, pictures, strict=True)) for name, pictures in self.data.renders.items()}
+        names = [view.name for view in self.result.scene.views]
+        return {name: dict(zip(names, pictures, strict=True)) for name, pictures in self.result.renders.items()}
 
     @property
     def heights(self) -> FloatArray:
         """(N, N, m + 1, m + 1) float64, mm: the lens's top, see ``HeightField``."""
-        return self.data.height_field.heights_mm
+        return self.result.height_field.heights_mm
 
     @property
     def scores(self) -> dict[str, dict[str, float | None]]:
@@ -92,7 +81,7 @@ class Run:
         """The contact sheet, for notebooks."""
         from magiclens.report.inline import contact_html
 
-        return contact_html(self.data)
+        return contact_html(self.result)
 
 
 def run(
@@ -101,9 +90,18 @@ def run(
     overrides: Iterable[str] = (),
     observer: Observer | None = None,
 ) -> Run:
-    """Run a spec: a file, a mapping as its YAML would say it, or a ``Spec``; files named in the latter two start here.
+    """Run a spec from Python.
 
-    The run folder is ``out/<name>`` unless told otherwise. Raises like ``run_plan``.
+    Args:
+        spec: A YAML file, a mapping as its YAML would say it, or a ``Spec``. Paths in the latter two start at the
+            working directory.
+        out_dir: The run folder; ``out/<name>`` by default.
+        overrides: ``key.path=value`` texts that are laid over the spec, as ``--set`` does.
+        observer: Is told about progress; None prints notices only.
+
+    Raises:
+        InputError: The spec is wrong, or asks for what cannot be.
+        StageError: A stage failed or broke its contract.
     """
     if isinstance(spec, str | Path):
         return run_spec(spec, out_dir, overrides, observer)
@@ -115,7 +113,7 @@ def run(
 def run_spec(
     path: str | Path, out_dir: str | Path | None = None, overrides: Iterable[str] = (), observer: Observer | None = None
 ) -> Run:
-    """Load, compile and run a spec; the run folder is ``out/<name>`` unless told otherwise."""
+    """Load, compile and run a spec file; arguments and errors are those of ``run``."""
     plan = load_plan(path, overrides)
     return run_plan(plan, out_dir or Path("out", plan.spec.name), observer)
 
@@ -123,342 +121,139 @@ def run_spec(
 def run_plan(plan: Plan, out_dir: str | Path, observer: Observer | None = None) -> Run:
     """Run a plan and write its run folder, which appears only when everything in it is finished.
 
-    Equal plans give equal files, but for the timings in ``manifest.json``. Raises InputError when the spec asks for
-    what cannot be, StageError when a stage fails or breaks its contract.
+    Equal plans give equal files, but for the timings in ``manifest.json``.
+
+    Raises:
+        InputError: The spec asks for what cannot be.
+        StageError: A stage failed or broke its contract.
     """
     out, observer = Path(out_dir), observer or Observer()
-    worker = _Worker(plan, observer)
+    steps = Steps(plan, observer)
     for failure in plan.registry.failures:
         observer.notice(f"{failure}; see 'mlens plugins'")
     try:
         with atomic_folder(out) as folder:
-            data = _make(plan, folder, worker)
-            whole = write_manifest(folder, data.manifest, worker.timings())
-        worker.tell("mlens_run_done", folder=out, manifest=whole)
+            result = _make(plan, folder, steps)
+            whole = write_manifest(folder, result.manifest, steps.timings())
+        steps.tell("mlens_run_done", folder=out, manifest=whole)
     finally:
         observer.stopped()
-    return Run(out, whole, data)
+    return Run(out, whole, result)
 
 
-class _Worker:
-    """Does one piece of work after the other: times it, lets the observer know, and names the stage that fails."""
-
-    def __init__(self, plan: Plan, observer: Observer):
-        self._registry, self._observer = plan.registry, observer
-        self._facets = plan.lens.facets**2
-        self._began = perf_counter()
-        self._seconds: defaultdict[str, float] = defaultdict(float)
-
-    def part(self, name: str, work: Callable[[], T], facets: int = 0) -> T:
-        """A piece of work of our own."""
-        self._observer.started(name, facets)
-        began = perf_counter()
-        result = work()
-        seconds = perf_counter() - began
-        self._seconds[name] += seconds
-        self._observer.finished(name, seconds)
-        return result
-
-    def stage(self, step: Step[Any], work: Callable[[Progress], T], check: Callable[[T], None]) -> T:
-        """A piece of work of a stage, whose artifact is checked against the contract."""
-        before = self._seconds[step.name]
-        artifact = self.part(step.name, partial(self._guarded, step, work, check), self._facets)
-        seconds = self._seconds[step.name] - before
-        self.tell("mlens_stage_done", stage=step.stage, artifact=artifact, seconds=seconds)
-        return artifact
-
-    def tell(self, hook: str, **facts: Any) -> None:
-        """Call an observing hook; plugins that fail in it are noted."""
-        for complaint in self._registry.notify(hook, **facts):
-            self._observer.notice(complaint)
-
-    def timings(self) -> dict[str, float]:
-        """Seconds by name, and in total."""
-        return {**self._seconds, "total": perf_counter() - self._began}
-
-    def _guarded(self, step: Step[Any], work: Callable[[Progress], T], check: Callable[[T], None]) -> T:
-        with blaming(str(step)):
-            artifact = work(partial(self._observer.progressed, step.name))
-            try:
-                check(artifact)
-            except BadArtifact as error:
-                raise Blamed(f"{step} broke its contract: {error}") from error
-            return artifact
-
-
-class _Aside(_Worker):
-    """Works on what is not the run's lens, so nobody is told."""
-
-    def tell(self, hook: str, **facts: Any) -> None:
-        """Nothing."""
-
-
-def _make(plan: Plan, folder: Path, worker: _Worker) -> RunResult:
+def _make(plan: Plan, folder: Path, steps: Steps) -> RunResult:
     """Fill a run folder with everything but the manifest."""
     from magiclens.report.write import write_report
 
     inputs = Inputs()
     (folder / "spec.yaml").write_text(spec_text(plan, inputs), encoding="utf-8")
-    _copy(inputs, folder)
-    given = scene = worker.part("pictures", plan.scene)
-    rng = _generators(plan.spec.seed)
+    copy_inputs(inputs, folder)
+    given = steps.part("pictures", plan.scene)
+    result = _show(plan, _design(plan, given, steps), folder, steps)
+    answers = _analyse(plan, result, folder, steps)
+    metrics = _metrics(result, answers)
+    facts = build_manifest(plan, inputs, result.painted, metrics, _scores(result.scene, result.renders))
+    result = replace(result, manifest=facts)
+    steps.part("preflight", partial(_preflight, plan, facts, result.solid, folder))
+    figures = [figure for planned, findings in answers for figure in _drawn(planned, result, findings)]
+    steps.part("report", partial(write_report, result, figures, folder))
+    return result
+
+
+def _design(plan: Plan, given: Scene, steps: Steps) -> RunResult:
+    """The lens and, if there is an encoder, its painted sources."""
+    designer, painted = Designer(plan, steps), given
     for _ in range(plan.spec.pipeline.codesign):
-        *_, solid = _design(plan, plan.on_medium(scene), rng, worker)
-        scene = _encode(plan, given, _matrices(plan, given, solid, worker), rng, worker)
-    candidates, assignment, height_field, rough = _design(plan, plan.on_medium(scene), rng, worker)
-    solid = worker.stage(plan.finisher, lambda p: plan.finisher.stage.finish(given, rough, p), check_solid)
-    matrices = _matrices(plan, given, solid, worker)
-    scene = _encode(plan, given, matrices, rng, worker)
-    _write_pictures(scene, folder)
-    save_heights(solid, plan.lens, folder)
-    if matrices:
-        worker.part("matrices", partial(_save_transports, given, matrices, folder))
-    for exporter in plan.exporters:
-        _export(exporter, scene, solid, folder, worker)
-    shown = plan.on_medium(scene)
-    renders = {step.stage.type: _render(step, shown, solid, folder, worker) for step in plan.renderers}
-    if plan.scenario.frames_per_second and renders:
-        animate = partial(_animate, scene, plan.scenario.frames_per_second, next(iter(renders.values())), folder)
-        worker.part("animations", animate)
-    made = (candidates, assignment, height_field, rough, solid)
-    first = Assignment.pick(candidates, candidates.errors.argmin(axis=-1))
-    metrics = worker.part("bounds", partial(_bounds, shown, candidates, first, assignment, height_field))
-    metrics |= {name: value for artifact in made for name, value in artifact.metrics.items()}
-    zone = _zone(plan, given, scene, rough, worker)
-    if zone:
-        metrics |= zone.metrics
-    hidden = matched = None
-    if plan.encoder:
-        from magiclens.analysis.leaks import leaks
-        from magiclens.analysis.secrecy import secrecy
-
-        hidden = worker.part("secrecy", partial(secrecy, scene, assignment))
-        metrics |= worker.part("leaks", partial(leaks, matrices, plan.lens.facets, given.reserved))
-        metrics |= _changes(given, scene) | hidden.metrics
-        _write_sources(given, folder, "given")
-    matched = None if plan.matcher.stage.uses_pictures else worker.part("matched lens", partial(_matched, scene))
-    if plan.fabrication:
-        metrics |= worker.part("as made", partial(_as_made, plan.fabrication.machine, shown, solid, folder))
-    facts = build_manifest(plan, inputs, scene, metrics, _scores(shown, renders))
-    worker.part("preflight", partial(_preflight, plan, facts, solid, folder))
-    asked = shown if given is scene else plan.on_medium(given)
-    data = RunResult(
-        asked, shown, candidates, first, assignment, height_field, solid, renders, facts, zone, hidden, matched
+        _, solid = designer.design(plan.on_medium(painted))
+        painted = designer.encode(given, designer.transports(given, solid))
+    shape, unfinished = designer.design(plan.on_medium(painted))
+    solid = steps.stage(plan.finisher, partial(plan.finisher.stage.finish, given, unfinished), check_solid)
+    transports = designer.transports(given, solid)
+    painted = designer.encode(given, transports)
+    return RunResult(
+        given=given,
+        painted=painted,
+        scene=plan.on_medium(painted),
+        candidates=shape.candidates,
+        assignment=shape.assignment,
+        height_field=shape.height_field,
+        unfinished=unfinished,
+        solid=solid,
+        renders={},
+        transports=transports,
+        redesign=partial(_redesign, plan),
     )
-    worker.part("report", partial(write_report, data, folder))
-    return data
 
 
-def _design(
-    plan: Plan, scene: Scene, rng: Generators, worker: _Worker
-) -> tuple[Candidates, Assignment, HeightField, Solid]:
-    """From a scene to a closed mesh that no finisher has seen yet."""
-    from magiclens.geometry.solid import solid_from_heights
-
-    matcher = plan.matcher.stage
-    scene = scene if matcher.uses_pictures else _blank(scene)
-    check = partial(check_candidates, plan.lens)
-    candidates = worker.stage(plan.matcher, lambda p: matcher.match(scene, rng["matcher"], p), check)
-    best = (candidates, *_shape(plan, scene, candidates, rng["annealer"], worker))
-    if plan.spec.pipeline.rematch:
-        best = _rematched(plan, scene, best, rng, worker)
-    candidates, assignment, built = best
-    if matcher.uses_pictures:
-        refined, integrator = partial(plan.integrator.stage.refine, scene, built), plan.integrator
-        built = worker.stage(integrator, refined, partial(check_height_field, plan.lens))
-    return candidates, assignment, built, worker.part("meshing", partial(solid_from_heights, built))
+def _redesign(plan: Plan, given: Scene) -> tuple[Scene, Solid]:
+    """Another scene by the same plan, from its seed on, told to nobody; see ``RunResult.redesign``."""
+    designer = Designer(plan, QuietSteps(plan, Observer()))
+    _, solid = designer.design(plan.on_medium(given))
+    return plan.on_medium(designer.encode(given, designer.transports(given, solid))), solid
 
 
-def _blank(scene: Scene) -> Scene:
-    """The scene without its pictures, so that the lens does not depend on them: whatever light is lost counts."""
-    white, black = np.ones((1, 1, 1), np.float32), np.zeros((1, 1, 1), np.float32)
-    return replace(scene, views=tuple(replace(view, source=white, target=black) for view in scene.views))
+def _show(plan: Plan, result: RunResult, folder: Path, steps: Steps) -> RunResult:
+    """Write the pictures and the lens, then render it; the result with its renders."""
+    write_pictures(result.painted, folder)
+    if plan.encoder:
+        write_sources(result.given, folder, "given")
+    save_heights(result.solid, plan.lens, folder)
+    if result.transports:
+        steps.part("matrices", partial(save_transports, result.given, result.transports, folder))
+    for exporter in plan.exporters:
+        _export(exporter, result.painted, result.solid, folder, steps)
+    renders: Renders = {}
+    for renderer in plan.renderers:
+        render = partial(renderer.stage.render, result.scene, result.solid)
+        pictures = steps.stage(renderer, render, partial(check_pictures, result.scene))
+        write_renders(renderer.stage.type, result.scene, pictures, folder)
+        renders[renderer.stage.type] = pictures
+    if plan.scenario.frames_per_second and renders:
+        seen = next(iter(renders.values()))
+        animate = partial(write_animations, result.painted, plan.scenario.frames_per_second, seen, folder)
+        steps.part("animations", animate)
+    return replace(result, renders=renders)
 
 
-def _rematched(
-    plan: Plan, scene: Scene, best: tuple[Candidates, Assignment, HeightField], rng: Generators, worker: _Worker
-) -> tuple[Candidates, Assignment, HeightField]:
-    """Rounds of rematching, annealing and integration until the traced error stops falling (4.6, last paragraph)."""
-    from magiclens.rendering.facet_errors import facet_errors
-
-    check = partial(check_candidates, plan.lens)
-    errors = worker.part("tracing", partial(facet_errors, scene, best[2]))
-    for _ in range(plan.spec.pipeline.rematch):
-        again = partial(plan.matcher.stage.rematch, scene, *best, errors)
-        candidates = worker.stage(plan.matcher, again, check)
-        trial = (candidates, *_shape(plan, scene, candidates, rng["annealer"], worker))
-        errors_now = worker.part("tracing", partial(facet_errors, scene, trial[2]))
-        if errors_now.mean() >= errors.mean():
-            break
-        best, errors = trial, errors_now
-    return best
-
-
-def _matrices(plan: Plan, given: Scene, solid: Solid, worker: _Worker) -> list[Transport]:
-    """What an encoder needs to know of a solid; nothing if there is no encoder."""
-    if plan.encoder is None:
-        return []
-    from magiclens.rendering.transports import transports
-
-    return worker.part("tracing", partial(transports, given, solid))
-
-
-def _encode(plan: Plan, given: Scene, matrices: list[Transport], rng: Generators, worker: _Worker) -> Scene:
-    """The scene with its sources edited for a traced solid, always starting from those that were given."""
-    if plan.encoder is None:
-        return given
-    step, encoder = plan.encoder, plan.encoder.stage
-    check = partial(check_encoded, given)
-    encoded: Scene = worker.stage(step, lambda p: encoder.encode(given, matrices, rng["encoder"], p), check)
-    return encoded
-
-
-def _changes(given: Scene, scene: Scene) -> dict[str, float]:
-    """How much the sources still look like those that were given, on average over the sources."""
-    from magiclens.images.score import score
-
-    both = zip(given.views, scene.views, strict=True)
-    pairs = {new.source_name: score(new.source, old.source, 1.0) for old, new in both}
-    scores = list(pairs.values())
-    return {
-        "source_psnr_db": float(np.mean([s.psnr_db for s in scores])),
-        "source_ssim": float(np.mean([s.ssim for s in scores])),
-    }
-
-
-def _bounds(
-    scene: Scene, candidates: Candidates, first: Assignment, assignment: Assignment, built: HeightField
-) -> dict[str, float]:
-    """PSNR if every facet realised its best candidate, or its assigned one, exactly."""
-    from magiclens.analysis.ideal import bound_psnr_db
-
-    return {
-        "matching_psnr_db": bound_psnr_db(scene, first, candidates.heights_mm),
-        "assigned_psnr_db": bound_psnr_db(scene, assignment, built.levels_mm),
-    }
-
-
-def _zone(plan: Plan, given: Scene, scene: Scene, solid: Solid, worker: _Worker) -> Zone | None:
-    """If all eyes shall see the same: what they see in between, beside a lens that was made for the first eye alone."""
-    from magiclens.analysis.zone import measure, rings
-
-    if not rings(given):
-        return None
-    rng, aside, first = _generators(plan.spec.seed), _Aside(plan, Observer()), replace(given, views=given.views[:1])
-    design = partial(_design, plan, plan.on_medium(first), rng, aside)
-    *_, plain = worker.part("plain lens", design, plan.lens.facets**2)
-    plain_scene = _encode(plan, first, _matrices(plan, first, plain, aside), rng, aside)
-    seen = partial(measure, plan.on_medium(scene), solid, plan.on_medium(plain_scene), plain)
-    return worker.part("stable zone", seen)
-
-
-def _shape(
-    plan: Plan, scene: Scene, candidates: Candidates, rng: np.random.Generator, worker: _Worker
-) -> tuple[Assignment, HeightField]:
-    """Choose among candidates and build what was chosen."""
-    annealer, integrator = plan.annealer.stage, plan.integrator.stage
-    chosen = partial(check_assignment, plan.lens, candidates)
-    assignment = worker.stage(plan.annealer, lambda p: annealer.anneal(scene, candidates, rng, p), chosen)
-    built = partial(check_height_field, plan.lens)
-    return assignment, worker.stage(plan.integrator, lambda p: integrator.integrate(scene, assignment, p), built)
-
-
-def _generators(seed: int) -> Generators:
-    """One source of randomness per kind of stage, so that a change of one leaves the others' alone."""
-    children = np.random.SeedSequence(seed).spawn(len(KINDS))
-    return {kind: np.random.default_rng(child) for kind, child in zip(KINDS, children, strict=True)}
-
-
-def _copy(inputs: Inputs, folder: Path) -> None:
-    """Keep the files that the spec uses, so that the run folder's ``spec.yaml`` runs anywhere."""
-    for path, kept in inputs.items():
-        (folder / kept).parent.mkdir(exist_ok=True)
-        shutil.copyfile(path, folder / kept)
-
-
-def _write_pictures(scene: Scene, folder: Path) -> None:
-    """The sources, true to scale for printing, and the targets."""
-    from magiclens.images.files import write_png
-
-    _write_sources(scene, folder)
-    (folder / "targets").mkdir()
-    for path, picture in {target_path(view): view.target for view in scene.views}.items():
-        write_png(folder / path, picture)
-
-
-def _write_sources(scene: Scene, folder: Path, kept: str = "sources") -> None:
-    """Every source once, with its physical size."""
-    from magiclens.images.files import write_png
-
-    (folder / kept).mkdir()
-    for name, picture in {view.source_name: view.source for view in scene.views}.items():
-        write_png(folder / kept / f"{name}.png", picture, len(picture) / scene.lens.source_size_mm)
-
-
-def _save_transports(scene: Scene, matrices: list[Transport], folder: Path) -> None:
-    """Keep those of the views that the others are like."""
-    from magiclens.rendering.transports import traced_view
-
-    for view, matrix in zip(scene.views, matrices, strict=True):
-        if traced_view(scene, view) is view:
-            save_transport(matrix, view, folder)
-
-
-def _export(step: Step[Exporter], scene: Scene, solid: Solid, folder: Path, worker: _Worker) -> None:
+def _export(step: Step[Exporter], scene: Scene, solid: Solid, folder: Path, steps: Steps) -> None:
     path = folder / f"lens{step.stage.suffix}"
 
     def export(_: Progress) -> Path:
         step.stage.export(scene, solid, path)
         return path
 
-    worker.stage(step, export, check_file)
+    steps.stage(step, export, check_file)
 
 
-def _render(step: Step[Renderer], scene: Scene, solid: Solid, folder: Path, worker: _Worker) -> list[FloatArray]:
-    """One picture per view, written to the run folder too."""
-    from magiclens.images.files import write_png
-
-    check = partial(check_pictures, scene)
-    pictures: list[FloatArray] = worker.stage(step, lambda p: step.stage.render(scene, solid, p), check)
-    for view, picture in zip(scene.views, pictures, strict=True):
-        path = folder / render_path(step.stage.type, view)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_png(path, picture)
-    return pictures
+def _analyse(plan: Plan, result: RunResult, folder: Path, steps: Steps) -> Analysed:
+    """What the analyses of the plan find, in their order; pictures that they find are written."""
+    answers = []
+    for planned in plan.analyses:
+        findings = steps.part(planned.name, partial(_findings, plan, planned, result))
+        if findings:
+            write_figure_pictures(findings.pictures, folder)
+            answers.append((planned, findings))
+    return answers
 
 
-def _animate(scene: Scene, fps: float, seen: list[FloatArray], folder: Path) -> None:
-    """The sources in turn, and what the eye sees meanwhile, as GIF and MP4."""
-    from magiclens.images import resize
-    from magiclens.images.movies import write_gif, write_mp4
-
-    (folder / "animations").mkdir()
-    side = len(seen[0])
-    for name, frames in (("sources", [resize(view.source, (side, side)) for view in scene.views]), ("seen", seen)):
-        write_gif(folder / "animations" / f"{name}.gif", frames, fps)
-        write_mp4(folder / "animations" / f"{name}.mp4", frames, fps)
+def _findings(plan: Plan, planned: PlannedAnalysis, result: RunResult) -> Findings | None:
+    with blaming(str(planned)):
+        findings = planned.analysis.compute(plan, result)
+        if findings is not None and not isinstance(findings, Findings):
+            raise BadArtifact(f"it found a {type(findings).__name__} instead of Findings")
+        return findings
 
 
-def _matched(scene: Scene) -> Assignment | None:
-    """Every facet at its best patch of the first source as it is now; None if some facet reaches no patch."""
-    from magiclens.matching.exhaustive import Exhaustive
-
-    try:
-        found = Exhaustive().match(replace(scene, views=scene.views[:1]), np.random.default_rng(0))
-    except InputError:
-        return None
-    return Assignment.pick(found, found.errors.argmin(axis=-1))
+def _drawn(planned: PlannedAnalysis, result: RunResult, findings: Findings) -> list[Figure]:
+    with blaming(str(planned)):
+        return list(planned.analysis.figures(result, findings))
 
 
-def _as_made(machine: Machine, scene: Scene, solid: Solid, folder: Path) -> dict[str, float]:
-    """What the lens shows as the machine makes it, as pictures, and what that costs; nothing if it is not simulated."""
-    from magiclens.simulation.as_made import as_made, write_pictures
-
-    made = as_made(machine, scene, solid)
-    if made is None:
-        return {}
-    write_pictures(made.pictures, scene.views, folder, "as-made")
-    return {"as_made_psnr_db": made.psnr_db, "fabrication_loss_db": made.loss_db}
+def _metrics(result: RunResult, answers: Analysed) -> dict[str, float]:
+    """Numbers for the manifest, from artifacts and analyses."""
+    made = (result.candidates, result.assignment, result.height_field, result.unfinished, result.solid)
+    sources = [*(artifact.metrics for artifact in made), *(findings.metrics for _, findings in answers)]
+    return {name: value for metrics in sources for name, value in metrics.items()}
 
 
 def _preflight(plan: Plan, facts: dict[str, Any], solid: Solid, folder: Path) -> None:
@@ -472,7 +267,7 @@ def _preflight(plan: Plan, facts: dict[str, Any], solid: Solid, folder: Path) ->
         write_preflight(inspect(folder, facts, plan, solid), folder)
 
 
-def _scores(scene: Scene, renders: Renders) -> ScoresByRenderer:
+def _scores(scene: Scene, renders: Mapping[str, Sequence[FloatArray]]) -> ScoresByRenderer:
     from magiclens.images.score import score
 
     return {

@@ -60,9 +60,14 @@ def rough_pictures(machine: Machine, scene: Scene, solid: Solid) -> list[FloatAr
 def write_pictures(pictures: Sequence[FloatArray], views: Sequence[View], folder: Path, name: str) -> None:
     """Write ``figures/<name>-<view>.png``, each at its best exposure."""
     (folder / "figures").mkdir(exist_ok=True)
-    for picture, view in zip(pictures, views, strict=True):
-        lit = np.clip(picture * score(picture, view.target).gain, 0, 1)
-        write_png(folder / "figures" / f"{name}-{view.name}.png", lit)
+    for picture, view in zip(exposed(pictures, views), views, strict=True):
+        write_png(folder / "figures" / f"{name}-{view.name}.png", picture)
+
+
+def exposed(pictures: Sequence[FloatArray], views: Sequence[View]) -> list[FloatArray]:
+    """The pictures (R, R, C) of the views at the exposure that fits their targets best, 0 to 1, linear light."""
+    pairs = zip(pictures, views, strict=True)
+    return [np.clip(picture * score(picture, view.target).gain, 0, 1) for picture, view in pairs]
 
 
 def _psnr_db(pictures: Sequence[FloatArray], scene: Scene) -> float:

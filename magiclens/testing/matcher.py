@@ -82,7 +82,7 @@ class MatcherContract(StageContract):
 
 def _bound_db(scene: Scene, candidates: Candidates) -> float:
     """PSNR if every facet realised its best candidate exactly."""
-    from magiclens.analysis.ideal import bound_psnr_db
+    from magiclens.analysis.ideal_picture import bound_psnr_db
 
     first = Assignment.pick(candidates, candidates.errors.argmin(axis=-1))
     return bound_psnr_db(scene, first, candidates.heights_mm)

@@ -75,7 +75,7 @@ def write(run: Run, tmp_path: Path) -> Writer:
 
     def export(exporter: Step, solid: Solid) -> Path:
         path = tmp_path / f"lens{exporter.suffix}"
-        exporter.export(run.data.scene, solid, path)
+        exporter.export(run.result.scene, solid, path)
         return path
 
     return export
@@ -83,7 +83,7 @@ def write(run: Run, tmp_path: Path) -> Writer:
 
 def facet_vertices(run: Run, inside: int = 0) -> FloatArray:
     """(V, 3) some vertices of facets, so many micro-facets away from their edges."""
-    grid = facet_grids(run.data.solid, run)
+    grid = facet_grids(run.result.solid, run)
     within = slice(inside, grid.shape[1] - inside)
     return some(grid[:, within, :, within])
 
@@ -96,7 +96,7 @@ def middles(solid: Solid, run: Run) -> FloatArray:
 
 def facet_grids(solid: Solid, run: Run) -> FloatArray:
     """(N, m + 1, N, m + 1, 3) the facets' vertices."""
-    n, k = run.data.scene.lens.facets, run.data.scene.lens.microfacets + 1
+    n, k = run.result.scene.lens.facets, run.result.scene.lens.microfacets + 1
     assert solid.grid
     return solid.vertices[: solid.grid[0] ** 2].reshape(*solid.grid, 3)[1:-1, 1:-1].reshape(n, k, n, k, 3)
 
@@ -118,7 +118,7 @@ def cube(side_mm: float = 1.0, faces: int = 12) -> Solid:
 def test_a_run_writes_one_valid_closed_solid_as_large_as_the_mesh(lens: str, made: Maker) -> None:
     run = made(lens)
     body = read(run.folder / "lens.step")
-    mesh = run.data.solid
+    mesh = run.result.solid
     assert body.valid
     assert body.closed_solid
     box = np.stack([mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)])
@@ -132,7 +132,7 @@ def test_a_run_writes_one_valid_closed_solid_as_large_as_the_mesh(lens: str, mad
 def test_volume_is_the_meshs_but_for_the_bulge_of_facets_beyond_their_micro_facets(lens: str, made: Maker) -> None:
     run = made(lens)
     body = read(run.folder / "lens.step")
-    assert body.volume_mm3 == pytest.approx(run.data.solid.metrics["volume_mm3"], rel=1e-4)
+    assert body.volume_mm3 == pytest.approx(run.result.solid.metrics["volume_mm3"], rel=1e-4)
 
 
 @pytest.mark.parametrize("lens", LENSES)
@@ -169,7 +169,7 @@ def assert_shell_closes(path: Path, volume_mm3: float) -> None:
 @pytest.mark.parametrize("lens", LENSES)
 def test_the_shell_needs_no_repair(lens: str, made: Maker) -> None:
     run = made(lens)
-    assert_shell_closes(run.folder / "lens.step", run.data.solid.metrics["volume_mm3"])
+    assert_shell_closes(run.folder / "lens.step", run.result.solid.metrics["volume_mm3"])
 
 
 def test_every_facet_is_one_face_and_flat_sides_are_too(made: Maker) -> None:
@@ -188,7 +188,7 @@ def test_the_run_records_the_plugin_and_its_file(run: Run) -> None:
 @pytest.mark.parametrize("surface", ["splines", "triangles"])
 def test_equal_lenses_give_equal_bytes(surface: str, run: Run, write: Writer) -> None:
     exporter = Step.model_validate({"surface": surface})
-    solid = run.data.solid if surface == "splines" else cube()
+    solid = run.result.solid if surface == "splines" else cube()
     first = write(exporter, solid).read_bytes()
     assert write(exporter, solid).read_bytes() == first
     assert write(exporter, replace(solid, vertices=solid.vertices * 1.01)).read_bytes() != first
@@ -197,7 +197,7 @@ def test_equal_lenses_give_equal_bytes(surface: str, run: Run, write: Writer) ->
 def test_tolerance_buys_control_points_of_smooth_lenslets(smooth: Run, write: Writer) -> None:
     sizes, misses = [], []
     for tolerance_mm in (1e-2, 1e-4, 0.0):
-        path = write(Step(tolerance=f"{tolerance_mm}mm"), smooth.data.solid)
+        path = write(Step(tolerance=f"{tolerance_mm}mm"), smooth.result.solid)
         sizes.append(path.stat().st_size)
         misses.append(read(path).distances_mm(facet_vertices(smooth)).max())
         assert misses[-1] <= tolerance_mm + 1e-7
@@ -207,7 +207,7 @@ def test_tolerance_buys_control_points_of_smooth_lenslets(smooth: Run, write: Wr
 
 def test_free_form_facets_have_a_knot_at_every_vertex_and_smooth_ones_a_few(run: Run, smooth: Run) -> None:
     knots = [most_knots(each.folder / "lens.step") for each in (run, smooth)]
-    assert knots[0] == run.data.scene.lens.microfacets + 1
+    assert knots[0] == run.result.scene.lens.microfacets + 1
     assert knots[1] < knots[0] / 3
 
 
@@ -220,14 +220,14 @@ def most_knots(path: Path) -> int:
 @pytest.mark.parametrize("lens", [name for name in LENSES if name != "of few micro-facets"])
 def test_facets_stay_near_their_micro_facets_between_vertices(lens: str, made: Maker) -> None:
     run = made(lens)
-    microfacet_mm = run.data.scene.lens.pitch_mm / run.data.scene.lens.microfacets
-    away_mm = read(run.folder / "lens.step").distances_mm(middles(run.data.solid, run))
+    microfacet_mm = run.result.scene.lens.pitch_mm / run.result.scene.lens.microfacets
+    away_mm = read(run.folder / "lens.step").distances_mm(middles(run.result.solid, run))
     assert away_mm.max() <= departure_mm(run.folder / "lens.step") < microfacet_mm
     assert np.median(away_mm) < microfacet_mm / 10
 
 
 def test_uneven_vertices_are_passed_through_without_swinging_out_between_them(run: Run, write: Writer) -> None:
-    mesh, uneven_mm = run.data.solid, 0.02
+    mesh, uneven_mm = run.result.solid, 0.02
     assert mesh.grid
     vertices = mesh.vertices.copy()
     inner = vertices[: mesh.grid[0] ** 2].reshape(*mesh.grid, 3)[2:-2, 2:-2]
@@ -263,8 +263,8 @@ def test_the_header_says_how_far_from_the_mesh_the_facets_are_and_neither_when_n
 
 def test_triangles_are_the_mesh_itself(made: Maker, tmp_path: Path) -> None:
     run = made("of one facet")
-    mesh = run.data.solid
-    Step(surface="triangles").export(run.data.scene, mesh, tmp_path / "lens.step")
+    mesh = run.result.solid
+    Step(surface="triangles").export(run.result.scene, mesh, tmp_path / "lens.step")
     body = read(tmp_path / "lens.step")
     assert body.valid
     assert body.closed_solid
@@ -326,11 +326,11 @@ def with_a_hole(solid: Solid) -> Solid:
 )
 def test_splines_need_a_slab(spoil: Callable[[Solid], Solid], why: str, run: Run, write: Writer) -> None:
     with pytest.raises(InputError, match=f"exporter step: surface: .*{why}; the nearest is 'surface: triangles'"):
-        write(Step(), spoil(run.data.solid))
+        write(Step(), spoil(run.result.solid))
 
 
 def test_a_surface_too_far_from_its_micro_facets_names_the_facet_and_what_would_do(run: Run, write: Writer) -> None:
-    mesh = run.data.solid
+    mesh = run.result.solid
     vertices = mesh.vertices.copy()
     assert mesh.grid
     inside = 1 + 2 * 25 + 12, 1 + 4 * 25 + 12
@@ -346,7 +346,7 @@ def test_a_surface_too_far_from_its_micro_facets_names_the_facet_and_what_would_
 
 def test_too_many_triangles_are_refused(run: Run, write: Writer) -> None:
     with pytest.raises(InputError, match=r"\d+ triangles, at most 50000 .*'surface: splines'"):
-        write(Step(surface="triangles"), replace(run.data.solid, faces=np.tile(cube().faces, (5000, 1))))
+        write(Step(surface="triangles"), replace(run.result.solid, faces=np.tile(cube().faces, (5000, 1))))
 
 
 @pytest.mark.parametrize(

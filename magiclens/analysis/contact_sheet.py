@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-
 import numpy as np
 
+from magiclens.analysis.base import Analysis, Findings
 from magiclens.contract.artifacts import Lens, View
 from magiclens.contract.result import RunResult
 from magiclens.drawing.figure import Figure
-from magiclens.drawing.photographs import Photograph
+from magiclens.drawing.photographs import photographs
 from magiclens.drawing.scales import Pixels
 from magiclens.drawing.tiles import Tile, to_pixels
 
@@ -17,9 +16,9 @@ MARK = (232, 89, 12)
 """Orange of the mark on the lens."""
 
 
-def contact_sheet(data: RunResult, seen: Mapping[str, Sequence[Photograph]]) -> Figure:
+def contact_sheet(result: RunResult) -> Figure:
     """One row per view: source, target and every renderer's photograph with its scores."""
-    views = data.scene.views
+    views, seen = result.scene.views, photographs(result)
     side = 400 if len(views) <= 4 else 280
     sources = {view.source_name: to_pixels(view.source, side) for view in views}
     turned = any(view.quarter_turns for view in views)
@@ -27,9 +26,9 @@ def contact_sheet(data: RunResult, seen: Mapping[str, Sequence[Photograph]]) -> 
     rows, blank = [], [""] * len(titles)
     for k, view in enumerate(views):
         source = sources[view.source_name]
-        pictures = [marked(source, data.scene.lens, view) if turned else source, to_pixels(view.target, side)]
+        pictures = [marked(source, result.scene.lens, view) if turned else source, to_pixels(view.target, side)]
         pictures += [to_pixels(photos[k].picture, side) for photos in seen.values()]
-        captions = [place(view, data.scene.lens, turned), view.name, *(photos[k].caption for photos in seen.values())]
+        captions = [place(view, result.scene.lens, turned), view.name, *(photos[k].caption for photos in seen.values())]
         rows.append([Tile(*parts) for parts in zip(pictures, titles if k == 0 else blank, captions, strict=True)])
     mark = " The orange corner of the lens shows how it is turned." if turned else ""
     caption = f"One view in each row: what lies under the lens, what it shall show, what simulated cameras see.{mark}"
@@ -57,3 +56,11 @@ def marked(source: Pixels, lens: Lens, view: View) -> Pixels:
     out = source.copy()
     out[rim | np.rot90(mark, view.quarter_turns)] = MARK
     return out
+
+
+def _figures(result: RunResult, findings: Findings) -> list[Figure]:
+    return [contact_sheet(result)]
+
+
+CONTACT_SHEET = Analysis("contact-sheet", figures=_figures)
+"""What every view shows."""

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from magiclens.contract.hookspecs import hookimpl
 
 if TYPE_CHECKING:
+    from magiclens.analysis.base import Analysis
     from magiclens.contract.artifacts import FloatArray
     from magiclens.contract.executors import Executor
     from magiclens.contract.stages import Stage
@@ -59,6 +60,26 @@ def mlens_scenarios() -> Sequence[type[Scenario]]:
     from magiclens.scenarios.universal_animation import UniversalAnimation
 
     return [Single, Rotating, MultiPair, MultiView, StableZone, UniversalAnimation, QuestionAnswer]
+
+
+@hookimpl
+def mlens_analyses() -> Sequence[Analysis]:
+    """Every built-in analysis, in the order of the report's figures."""
+    from magiclens.analysis.annealing_effect import ANNEALING_EFFECT
+    from magiclens.analysis.as_made import AS_MADE
+    from magiclens.analysis.contact_sheet import CONTACT_SHEET
+    from magiclens.analysis.ideal_picture import IDEAL_PICTURE
+    from magiclens.analysis.leaks import LEAKS
+    from magiclens.analysis.overlap import OVERLAP
+    from magiclens.analysis.picture_error import PICTURE_ERROR
+    from magiclens.analysis.secrecy import SECRECY
+    from magiclens.analysis.source_changes import SOURCE_CHANGES
+    from magiclens.analysis.stable_zone import STABLE_ZONE
+    from magiclens.analysis.surface import SURFACE
+    from magiclens.analysis.warp import WARP
+
+    figures = [CONTACT_SHEET, STABLE_ZONE, WARP, SECRECY, PICTURE_ERROR, SURFACE, ANNEALING_EFFECT, OVERLAP]
+    return [*figures, IDEAL_PICTURE, SOURCE_CHANGES, LEAKS, AS_MADE]
 
 
 @hookimpl

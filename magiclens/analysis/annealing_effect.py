@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from magiclens.analysis.ideal import predict_view
+from magiclens.analysis.base import Analysis, Findings
+from magiclens.analysis.ideal_picture import predict_view
 from magiclens.contract.artifacts import Assignment, FloatArray, Scene
 from magiclens.contract.result import RunResult
 from magiclens.drawing.figure import Figure
@@ -17,20 +18,20 @@ from magiclens.drawing.shading import shade_slopes
 from magiclens.drawing.tiles import Tile, to_pixels
 from magiclens.geometry.facets import central_slopes
 
-SIDE = 480
+_SIDE = 480
 
 
-def before_after(data: RunResult) -> Figure:
-    """Surface and predicted picture of every facet's best candidate, and of the annealed choice."""
-    energies = data.manifest["metrics"]
+def before_after(result: RunResult) -> Figure:
+    """Surface and ideal picture: of every facet's best candidate, and of the annealed choice."""
+    energies = result.manifest["metrics"]
     surfaces, pictures = [], []
-    before = ("before", data.first, data.candidates.heights_mm)
-    after = ("after", data.assignment, data.height_field.levels_mm)
+    before = ("before", result.best_match, result.candidates.heights_mm)
+    after = ("after", result.assignment, result.height_field.levels_mm)
     for when, assignment, heights in (before, after):
         energy = energies.get(f"energy_{when}")
         caption = "" if energy is None else f"energy {energy:.4g}"
-        surfaces.append(Tile(surface(data.scene, assignment), f"Surface {when} annealing", caption))
-        pictures.append(_prediction(data.scene, assignment, heights))
+        surfaces.append(Tile(surface(result.scene, assignment), f"Surface {when} annealing", caption))
+        pictures.append(_prediction(result.scene, assignment, heights))
     return Figure(
         "annealing",
         "Before and after annealing",
@@ -41,9 +42,9 @@ def before_after(data: RunResult) -> Figure:
 
 
 def surface(scene: Scene, assignment: Assignment) -> Pixels:
-    """(SIDE, SIDE, 3): the slopes that an assignment asks for, in the light; no integration, so no steps."""
-    slopes = fine_slopes(scene, assignment, math.ceil(SIDE / scene.lens.facets))
-    return to_pixels(shade_slopes(slopes), SIDE)
+    """(_SIDE, _SIDE, 3): the slopes that an assignment asks for, in the light; no integration, so no steps."""
+    slopes = fine_slopes(scene, assignment, math.ceil(_SIDE / scene.lens.facets))
+    return to_pixels(shade_slopes(slopes), _SIDE)
 
 
 def fine_slopes(scene: Scene, assignment: Assignment, parts: int) -> FloatArray:
@@ -65,5 +66,13 @@ def fine_slopes(scene: Scene, assignment: Assignment, parts: int) -> FloatArray:
 def _prediction(scene: Scene, assignment: Assignment, heights_mm: FloatArray | None) -> Tile:
     """The first view's picture under perfect facets that stand at these heights (N, N)."""
     first = scene.views[0]
-    photo = photograph(predict_view(scene, assignment, first, SIDE, heights_mm=heights_mm), first)
-    return Tile(to_pixels(photo.picture, SIDE), "What it would show", f"{first.name}: {photo.caption}")
+    photo = photograph(predict_view(scene, assignment, first, _SIDE, heights_mm=heights_mm), first)
+    return Tile(to_pixels(photo.picture, _SIDE), "What it would show", f"{first.name}: {photo.caption}")
+
+
+def _figures(result: RunResult, findings: Findings) -> list[Figure]:
+    return [before_after(result)]
+
+
+ANNEALING_EFFECT = Analysis("annealing", figures=_figures)
+"""What annealing does to the surface and to the ideal picture."""

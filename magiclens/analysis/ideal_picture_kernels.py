@@ -1,0 +1,97 @@
+"""Samples the source as ideal facets would show it."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit, prange
+
+from magiclens.kernels.sampling import place
+
+
+class Facets(NamedTuple):
+    """What N x N facets show, in the image frame (y down), mm.
+
+    A point p of a facet, from its centre, shows the source at ``landing + map p``, and is seen in the picture at a
+    point q with ``p = inward (q - place)``.
+
+    Attributes:
+        landings: (N, N, 2), nan where light is reflected totally.
+        maps: (N, N, 2, 2).
+        places: (N, N, 2).
+        inward: (N, N, 2, 2).
+    """
+
+    landings: np.ndarray
+    maps: np.ndarray
+    places: np.ndarray
+    inward: np.ndarray
+
+
+@njit(cache=True)
+def _facet_point(facets, i, j, x, y):
+    """The point of facet (i, j), from its centre, that is seen at (x, y) from the picture's centre; mm."""
+    u, v, m = x - facets.places[i, j, 0], y - facets.places[i, j, 1], facets.inward[i, j]
+    return m[0, 0] * u + m[0, 1] * v, m[1, 0] * u + m[1, 1] * v
+
+
+@njit(cache=True)
+def _visible_facet(facets, size, x, y):
+    """The facet that is seen at (x, y) mm from the picture's upper left corner, and the point of it.
+
+    This is the facet in whose square (x, y) lies, unless parallax has moved it away and a neighbour is seen instead.
+    """
+    n = len(facets.places)
+    half = 0.5 * size / n + 1e-9
+    j, i = min(int(x / size * n), n - 1), min(int(y / size * n), n - 1)
+    x, y = x - size / 2, y - size / 2
+    u, v = _facet_point(facets, i, j, x, y)
+    if abs(u) > half or abs(v) > half:
+        near_j = min(max(j + (u > half) - (u < -half), 0), n - 1)
+        near_i = min(max(i + (v > half) - (v < -half), 0), n - 1)
+        a, b = _facet_point(facets, near_i, near_j, x, y)
+        if abs(a) <= half and abs(b) <= half:
+            return near_i, near_j, a, b
+    return i, j, u, v
+
+
+@njit(cache=True, parallel=True)
+def sample_ideal_picture(source, per_mm, facets, size, resolution, samples):
+    """The mean over samples q of a pixel of ``source(landing + map p)``, where facet point p is seen at q.
+
+    Args:
+        source: (H, W, C) float32, linear light.
+        per_mm: Pixels of the source per mm.
+        facets: What the facets show, see ``Facets``.
+        size: Side of the picture, mm.
+        resolution: Pixels R along one side of the picture.
+        samples: Samples per side of a pixel.
+
+    Returns:
+        (R, R, C) float32; black where no light arrives.
+    """
+    rows, columns, channels = source.shape
+    out = np.zeros((resolution, resolution, channels), np.float32)
+    pixel = size / resolution
+    for r in prange(resolution):
+        for c in range(resolution):
+            for k in range(samples * samples):
+                right, down = place(k, samples)
+                i, j, u, v = _visible_facet(facets, size, (c + right) * pixel, (r + down) * pixel)
+                at, m = facets.landings[i, j], facets.maps[i, j]
+                if math.isnan(at[0]):
+                    continue
+                sx = (at[0] + m[0, 0] * u + m[0, 1] * v) * per_mm + columns / 2 - 0.5
+                sy = (at[1] + m[1, 0] * u + m[1, 1] * v) * per_mm + rows / 2 - 0.5
+                if not (-0.5 <= sx <= columns - 0.5 and -0.5 <= sy <= rows - 0.5):
+                    continue  # beside the source it is dark
+                sx, sy = min(max(sx, 0.0), columns - 1.001), min(max(sy, 0.0), rows - 1.001)
+                ix, iy = int(sx), int(sy)
+                fx, fy = sx - ix, sy - iy
+                for ch in range(channels):
+                    top = source[iy, ix, ch] * (1 - fx) + source[iy, ix + 1, ch] * fx
+                    low = source[iy + 1, ix, ch] * (1 - fx) + source[iy + 1, ix + 1, ch] * fx
+                    out[r, c, ch] += (top * (1 - fy) + low * fy) / (samples * samples)
+    return out
