@@ -21,10 +21,11 @@ from magiclens.contract.stages import KINDS
 from magiclens.images.art import ART
 from magiclens.images.files import write_png
 from magiclens.plan.registry import STAGE, Registry
-from magiclens.web.gallery.docs import inline, slug
+from magiclens.web.gallery.docs import Library, doc_page, doc_paths, inline, slug
 from magiclens.web.gallery.drawings import DRAWINGS, PX_PER_MM, _one_facet, _seen_by
 from magiclens.web.gallery.listed import load_gallery
 from magiclens.web.gallery.options import model_tables, takes
+from magiclens.web.gallery.pictures import Album
 
 ROOT = Path(__file__).parent.parent
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
@@ -168,6 +169,14 @@ def test_the_glossary_is_sorted_and_every_term_is_at_home_in_the_code() -> None:
     for term, home in rows:
         found = (package / home).exists() if "/" in home else re.search(rf"\b{re.escape(home)}\b", code)
         assert found, f"{term}: {home}"
+
+
+def test_the_site_has_the_drawings_of_the_architecture(tmp_path: Path) -> None:
+    pages = [ARCHITECTURE, *(ROOT / "docs" / "reference").glob("*.md")]
+    page = doc_page(ARCHITECTURE, Library(tmp_path, Album(tmp_path), doc_paths(pages), {}))
+    for path in re.findall(r'<img src="([^"]+\.svg)"', page.body):
+        assert (tmp_path / page.path).parent.joinpath(path).resolve().is_file(), path
+    assert page.body.count(".svg") == 2
 
 
 @pytest.mark.parametrize("name", DRAWINGS)
