@@ -10,6 +10,7 @@ import re
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 from textwrap import wrap
 from typing import Any, get_type_hints
@@ -17,8 +18,8 @@ from xml.sax.saxutils import escape
 
 import grimp
 
-from magiclens.analysis.ideal_picture import bound_psnr_db
-from magiclens.builtin import mlens_stages
+from magiclens.analysis.base import nothing
+from magiclens.builtin import mlens_analyses, mlens_stages
 from magiclens.contract.result import RunResult
 from magiclens.contract.stages import KINDS, Annealer, Encoder, Exporter, Finisher, Integrator, Matcher, Renderer
 from magiclens.geometry.solid import solid_from_heights
@@ -36,11 +37,15 @@ ARTIFACTS = ("Plan", "Scene", "Candidates", "Assignment", "HeightField", "Solid"
 
 @dataclass(frozen=True)
 class Step:
-    """One step of a run: the function or method that does it, and in words when it happens or what it writes."""
+    """One step of a run: the function or method that does it, and in words when it happens or what it writes.
+
+    title: what it is called, if not as its function.
+    """
 
     work: Callable[..., Any]
     remark: str = ""
     writes: str = ""
+    title: str = ""
 
 
 STEPS = (
@@ -57,7 +62,7 @@ STEPS = (
     Step(Encoder.encode, "new sources; codesign starts again at match"),
     Step(Exporter.export, writes="files"),
     Step(Renderer.render, writes="pictures"),
-    Step(bound_psnr_db, "the ideal picture; other analyses likewise", writes="numbers"),
+    Step(nothing, ", ".join(a.name for a in mlens_analyses()), "numbers", "Analysis.compute"),
     Step(write_report, writes="report"),
 )
 """The steps of a run, in order. Which artifacts they read and return is read from their signatures."""
@@ -84,26 +89,27 @@ STYLE = """
 
 def data_flow() -> str:
     """The data flow as SVG: a column per artifact, a row per step; open dots are read, full dots are made."""
-    left, wide, high, top = 470, 112, 50, 64
+    left, wide, top = 470, 112, 64
     edge = left + wide * len(ARTIFACTS)
     columns = {name: left + wide * k for k, name in enumerate(ARTIFACTS)}
     flows = [_reads_and_makes(step.work) for step in STEPS]
-    rows = [top + high * k for k in range(len(STEPS))]
+    words = [_who(step) for step in STEPS]
+    rows = list(accumulate((34 + 15 * len(lines) for lines in words), initial=top))
     parts = []
     for name, x in columns.items():
-        used = [y for y, flow in zip(rows, flows, strict=True) if name in flow[0] | flow[1]]
+        used = [y for y, flow in zip(rows, flows, strict=False) if name in flow[0] | flow[1]]
         parts += [_text(x, 24, name, "middle", "code"), f'<path class="dotted lane" d="M{x} 34V{used[0]}"/>']
         parts.append(f'<path class="lane" d="M{x} {used[0]}V{used[-1]}"/>')
-    for y, step, (reads, makes) in zip(rows, STEPS, flows, strict=True):
+    for y, step, lines, (reads, makes) in zip(rows, STEPS, words, flows, strict=False):
         ends = sorted(columns[name] for name in reads | makes) + ([edge] if step.writes else [])
-        parts.append(_text(12, y - 6, _title(step.work), cls="code"))
-        parts += [_text(12, y + 10 + 15 * k, line, cls="muted") for k, line in enumerate(_who(step))]
+        parts.append(_text(12, y - 6, step.title or _title(step.work), cls="code"))
+        parts += [_text(12, y + 10 + 15 * k, line, cls="muted") for k, line in enumerate(lines)]
         parts.append(f'<path class="flow" d="M{ends[0]} {y}H{ends[-1]}"/>')
         parts += [_dot(columns[name], y, name in reads, name in makes) for name in ARTIFACTS if name in reads | makes]
         if step.writes:
             parts.append(f'<path class="flow" d="M{edge - 8} {y - 5}L{edge} {y}L{edge - 8} {y + 5}"/>')
             parts.append(_text(edge + 8, y + 5, step.writes))
-    under = rows[-1] + high
+    under = rows[-1]
     for k, (read, made, words) in enumerate(
         [(True, False, "reads it"), (False, True, "makes it"), (True, True, "reads it and makes another")]
     ):
@@ -187,7 +193,7 @@ def _who(step: Step) -> list[str]:
     stages = [cls for cls in mlens_stages() if cls.kind in kinds]
     folders = dict.fromkeys(_folder(cls.__module__) for cls in stages) or [_folder(step.work.__module__)]
     if step.remark:
-        return [f"{', '.join(f'{folder}/' for folder in folders)} {step.remark}"]
+        return wrap(f"{', '.join(f'{folder}/' for folder in folders)} {step.remark}", 76)
     lines = []
     for folder in folders:
         names = ", ".join(cls.type for cls in stages if _folder(cls.__module__) == folder)
