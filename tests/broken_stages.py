@@ -107,22 +107,22 @@ class TestMatcherInMicrometres(MatcherContract):
     stage = matcher(lambda c: replace(c, offsets_mm=c.offsets_mm * 1000))
 
 
-@must_fail("no_facet_is_asked_for_a_slope_beyond_the_limit")
+@must_fail("no_candidate_needs_a_slope_beyond_the_limit")
 class TestMatcherBeyondRefraction(MatcherContract):
     stage = matcher(lambda c: replace(c, offsets_mm=np.sign(c.offsets_mm) * np.float32(11)))
 
 
-@must_fail("candidates_look_as_their_errors_say")
+@must_fail("candidates_are_as_good_as_their_errors_say")
 class TestMatcherUpsideDown(MatcherContract):
     stage = matcher(lambda c: replace(c, offsets_mm=c.offsets_mm * np.float32([1, -1])))
 
 
-@must_fail("candidates_look_as_their_errors_say")
+@must_fail("candidates_are_as_good_as_their_errors_say")
 class TestMatcherThatBoasts(MatcherContract):
     stage = matcher(lambda c: replace(c, errors=c.errors / 10))
 
 
-@must_fail("the_best_look_more_like_the_target_than_a_plain_slab")
+@must_fail("best_candidates_show_the_target_better_than_a_flat_lens")
 class TestMatcherThatLooksAway(MatcherContract):
     stage = matcher(lambda c: replace(c, offsets_mm=0 * c.offsets_mm, maps=c.maps * 0 + np.float32([1.5, 0, 1.5])))
 
@@ -272,7 +272,7 @@ class TestIntegratorTooSteep(IntegratorContract):
     stage = integrator(lambda h: np.clip(h + 1.5 * (np.indices(h.shape)[3] % 2), -2, 2))
 
 
-@must_fail("facets_look_where_they_were_told_to")
+@must_fail("facets_show_their_patches")
 class TestIntegratorUpsideDown(IntegratorContract):
     stage = integrator(lambda h: h[:, :, ::-1].copy())
 

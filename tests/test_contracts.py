@@ -75,7 +75,7 @@ class TestMetropolis(AnnealerContract):
 
 class TestPoisson(IntegratorContract):
     stage = Poisson()
-    aim_mm = 0.3
+    offset_tolerance_mm = 0.3
 
 
 class TestLeastSquaresIntegrator(IntegratorContract):

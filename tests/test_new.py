@@ -17,7 +17,7 @@ from magiclens.contract.errors import InputError
 from magiclens.images import art, to_display, to_linear, write_png
 from magiclens.images.resample import cropped_to_square
 from magiclens.images.tones import toned
-from magiclens.new.judge import judge
+from magiclens.new.assess import assess
 from magiclens.new.layouts import LAYOUTS
 from magiclens.new.write import new_spec
 from magiclens.plan.compile import Plan, load_plan
@@ -84,7 +84,7 @@ def test_a_light_drawing_on_a_dark_ground_is_inverted_and_the_comment_says_why(s
 
 
 def test_a_dark_photograph_is_never_inverted(save: Saver) -> None:
-    found = judge(save(to_linear(0.3 * to_display(photograph()))))
+    found = assess(save(to_linear(0.3 * to_display(photograph()))))
     assert found.photograph
     assert not found.invert
 
@@ -102,7 +102,7 @@ def test_a_photograph_is_cropped_and_stretched_and_gets_more_facets(save: Saver,
 
 @pytest.mark.parametrize(("width", "fine"), [(40, False), (20, False), (8, True), (4, True)])
 def test_fine_strokes_ask_for_more_facets(save: Saver, width: int, fine: bool) -> None:
-    found = judge(save(stripes(width)))
+    found = assess(save(stripes(width)))
     assert found.stroke == pytest.approx(4 / np.pi * width / 400, rel=0.15)
     assert found.fine == fine
 
@@ -226,7 +226,7 @@ def test_pictures_that_cannot_be_used_are_named_and_nothing_is_written(
         (["single", "{panda}", "--source", "nowhere.png"], "there is no image file 'nowhere.png'"),
     ],
 )
-def test_wrong_orders_end_with_2(arguments: list[str], message: str, panda: Path, tmp_path: Path) -> None:
+def test_wrong_requests_end_with_2(arguments: list[str], message: str, panda: Path, tmp_path: Path) -> None:
     command = ["new", *(a.format(panda=panda) for a in arguments), "-o", str(tmp_path / "my.yaml")]
     result = CliRunner().invoke(app, command)
     assert result.exit_code == 2
@@ -276,7 +276,7 @@ def test_levels_must_rise(panda: Path, tmp_path: Path, levels: list[str]) -> Non
         load_plan(tmp_path / "my.yaml", [f"scenario.target.levels=[{', '.join(levels)}]"])
 
 
-def test_looks_hold_for_art_and_frames_too() -> None:
+def test_levels_and_negatives_work_for_art_and_frames_too() -> None:
     known = {"heart": lambda size: art("heart", size), "heart-0": lambda size: art("heart", size)}
     plain = Target(art="heart").raster(known).mean()
     negative = Target(art="heart", invert=True).raster(known).mean()

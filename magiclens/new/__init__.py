@@ -1,1 +1,1 @@
-"""Specs for people who have pictures and want a lens: ``mlens new``."""
+"""Writes specs for users' own pictures, for ``mlens new``."""

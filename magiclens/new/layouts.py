@@ -1,4 +1,4 @@
-"""What a new spec says for each scenario, line by line, and why. Lines that start with ``#`` become comments."""
+"""What a new spec says for each scenario, line by line; lines that start with ``#`` become comments."""
 
 from __future__ import annotations
 
@@ -6,174 +6,191 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from magiclens.new.judge import Judgement
-
-Lines = list[str]
+from magiclens.new.assess import Assessment
 
 
 @dataclass(frozen=True)
-class Order:
-    """Pictures, each as the spec writes its path and with what was found in it; the user's source; questions."""
+class Request:
+    """What a user wants a spec for.
 
-    pictures: Sequence[tuple[str, Judgement]]
+    Attributes:
+        pictures: What the lens shall show: paths as the spec writes them, and what was found in each picture.
+        source: Path of the user's own source; None for discs.
+        questions: The user's questions, one per picture or none.
+    """
+
+    pictures: Sequence[tuple[str, Assessment]]
     source: str | None = None
     questions: Sequence[str] = ()
 
     @property
     def coloured(self) -> bool:
-        """Whether some picture has colours."""
-        return any(judged.coloured for _, judged in self.pictures)
+        """Whether any picture has colours."""
+        return any(assessment.coloured for _, assessment in self.pictures)
 
     @property
     def fine(self) -> list[str]:
-        """Pictures that need many facets, by name."""
-        return [judged.path.name for _, judged in self.pictures if judged.fine]
+        """Names of the pictures that need many facets."""
+        return [assessment.path.name for _, assessment in self.pictures if assessment.fine]
 
 
 @dataclass(frozen=True)
 class Layout:
-    """How many pictures a scenario takes, whether a source and questions, and what its spec says."""
+    """How a spec of one scenario is written.
+
+    Attributes:
+        title: What the lens does, for the first comment.
+        least: Least number of pictures.
+        most: Largest number of pictures.
+        scenario: The lines below the key ``scenario``, without its type.
+        lens: The lines below the key ``lens``.
+        pipeline: The lines below the key ``pipeline``.
+        source: Whether the user may give a source.
+        questions: Whether the user may give questions.
+    """
 
     title: str
     least: int
     most: int
-    scenario: Callable[[Order], Lines]
-    lens: Callable[[Order], Lines]
-    pipeline: Callable[[Order], Lines]
+    scenario: Callable[[Request], list[str]]
+    lens: Callable[[Request], list[str]]
+    pipeline: Callable[[Request], list[str]]
     source: bool = True
     questions: bool = False
 
 
-def _look(judged: Judgement, inverts: bool = True) -> str:
+def _target_options(assessment: Assessment) -> str:
     """The keys of a target besides its file."""
-    levels = f", levels: [{', '.join(f'{100 * level:.0f}%' for level in judged.levels)}]" if judged.levels else ""
-    negative = ", invert: true" if judged.invert and inverts else ""
-    return f"{', fit: crop' if judged.crop else ''}{levels}{negative}"
+    crop = ", fit: crop" if assessment.crop else ""
+    percents = ", ".join(f"{100 * level:.0f}%" for level in assessment.levels or ())
+    levels = f", levels: [{percents}]" if percents else ""
+    negative = ", invert: true" if assessment.invert else ""
+    return f"{crop}{levels}{negative}"
 
 
-def _target(path: str, judged: Judgement) -> str:
-    return f"{{image: {path}{_look(judged)}}}"
+def _target(path: str, assessment: Assessment) -> str:
+    return f"{{image: {path}{_target_options(assessment)}}}"
 
 
-def _reasons(judged: Judgement) -> str:
-    return f"# {' '.join(judged.reasons)}"
+def _reasons(assessment: Assessment) -> str:
+    return f"# {' '.join(assessment.reasons)}"
 
 
-def _source(order: Order, size: str = "", seed: int = 7) -> Lines:
-    """What lies below the lens."""
+def _source(request: Request, size: str = "", seed: int = 7) -> list[str]:
+    """The source, and why it is this one."""
     sized = f", size: {size}" if size else ""
-    if order.source:
+    if request.source:
         return ["# Print this; the more black and white it has everywhere, the better the lens.",
-                f"source: {{type: image, path: {order.source}{sized}}}"]  # fmt: skip
-    colours = ", colours: coloured" if order.coloured else ""
-    why = "in colours, as a picture has some" if order.coloured else "black and white"
+                f"source: {{type: image, path: {request.source}{sized}}}"]  # fmt: skip
+    colours = ", colours: coloured" if request.coloured else ""
+    why = "in colours, as a picture has some" if request.coloured else "black and white"
     return [f"# Random discs, {why}: something of every shape is near every facet. Or {{type: image, path: dots.png}}.",
             f"source: {{type: circles, seed: {seed}{colours}{sized}}}"]  # fmt: skip
 
 
-def _one_target(order: Order, size: str = "") -> Lines:
-    path, judged = order.pictures[0]
-    return [*_source(order, size), _reasons(judged), f"target: {_target(path, judged)}"]
+def _one_target(request: Request, size: str = "") -> list[str]:
+    path, assessment = request.pictures[0]
+    return [*_source(request, size), _reasons(assessment), f"target: {_target(path, assessment)}"]
 
 
-def _single(order: Order) -> Lines:
-    return _one_target(order)
+def _single(request: Request) -> list[str]:
+    return _one_target(request)
 
 
-def _rotating(order: Order) -> Lines:
+def _rotating(request: Request) -> list[str]:
     targets = []
-    for path, judged in order.pictures:
-        targets += [f"  {_reasons(judged)}", f"  - {_target(path, judged)}"]
-    angles = ", ".join(f"{90 * k}deg" for k in range(len(order.pictures)))
+    for path, assessment in request.pictures:
+        targets += [f"  {_reasons(assessment)}", f"  - {_target(path, assessment)}"]
+    angles = ", ".join(f"{90 * k}deg" for k in range(len(request.pictures)))
     return [
-        *_source(order),
+        *_source(request),
         "targets:",
         *targets,
         f"angles: [{angles}]   # counter-clockwise as the viewer sees it",
     ]
 
 
-def _multi_pair(order: Order) -> Lines:
-    lines = ["# Every picture has a sheet of discs of its own.", "pairs:"]
-    for k, (path, judged) in enumerate(order.pictures):
-        source = _source(order, seed=7 + k)[1].removeprefix("source: ")
-        lines += [f"  {_reasons(judged)}", f"  - {{source: {source}, target: {_target(path, judged)}}}"]
+def _multi_pair(request: Request) -> list[str]:
+    lines = ["# Every picture has a source of its own, made of discs.", "pairs:"]
+    for k, (path, assessment) in enumerate(request.pictures):
+        source = _source(request, seed=7 + k)[1].removeprefix("source: ")
+        lines += [f"  {_reasons(assessment)}", f"  - {{source: {source}, target: {_target(path, assessment)}}}"]
     return lines
 
 
-def _multi_view(order: Order) -> Lines:
+def _multi_view(request: Request) -> list[str]:
     lines = [
-        *_source(order, "120mm"),
+        *_source(request, "120mm"),
         "# The source is larger than the lens, since tilted eyes look past its edge. Azimuth 0deg is to the right.",
         "views:",
     ]
-    for k, (path, judged) in enumerate(order.pictures):
-        azimuth = round((180 + 360 * k / len(order.pictures)) % 360)
+    for k, (path, assessment) in enumerate(request.pictures):
+        azimuth = round((180 + 360 * k / len(request.pictures)) % 360)
         eye = f"{{tilt: 15deg, azimuth: {azimuth}deg}}"
-        lines += [f"  {_reasons(judged)}", f"  - {{target: {_target(path, judged)}, eye: {eye}}}"]
+        lines += [f"  {_reasons(assessment)}", f"  - {{target: {_target(path, assessment)}, eye: {eye}}}"]
     return lines
 
 
-def _stable_zone(order: Order) -> Lines:
-    return [*_one_target(order, "104mm"), "cone: 1.15deg   # apex of the cone in which the picture stays"]
+def _stable_zone(request: Request) -> list[str]:
+    return [*_one_target(request, "104mm"), "cone: 1.15deg   # apex of the cone in which the picture stays"]
 
 
-def _animation(order: Order) -> Lines:
-    frames = ", ".join(path for path, _ in order.pictures)
-    crop = ", fit: crop" if any(judged.crop for _, judged in order.pictures) else ""
-    painted = [f"source: {{type: image, path: {order.source}}}   # what is painted on"] if order.source else []
+def _animation(request: Request) -> list[str]:
+    frames = ", ".join(path for path, _ in request.pictures)
+    crop = ", fit: crop" if any(assessment.crop for _, assessment in request.pictures) else ""
+    painted = [f"source: {{type: image, path: {request.source}}}   # what is painted on"] if request.source else []
     return [
-        "# Every frame is painted into a sheet of its own, whatever its tones: nothing needs to be inverted.",
+        "# Every frame is painted into a source of its own, whatever its tones: nothing needs to be inverted.",
         f"frames: {{images: [{frames}]{crop}}}",
         *painted,
         "fps: 8",
-        "subdivisions: 2   # each patch of the source is cut into 2 x 2 places, one for a facet",
-        "camouflage: {type: texture}   # what covers places that no facet sees",
+        "subdivisions: 2   # each patch of the source is cut into 2 x 2 sub-regions, one for a facet",
+        "camouflage: {type: texture}   # what covers regions that no facet shows",
     ]
 
 
-def _questions(order: Order) -> Lines:
-    count = len(order.pictures)
+def _questions(request: Request) -> list[str]:
+    count = len(request.pictures)
     usual = [f"What is picture {k + 1}?" for k in range(count)] if count > 1 else ["What is this?"]
     lines = ["lens: universal   # the answers are painted around the questions, which stay as they are", "pairs:"]
-    for (path, judged), question in zip(order.pictures, order.questions or usual, strict=True):
+    for (path, assessment), question in zip(request.pictures, request.questions or usual, strict=True):
         text = json.dumps(question, ensure_ascii=False)
         lines += [
-            f"  {_reasons(judged)}",
+            f"  {_reasons(assessment)}",
             f"  - question: {{type: text, text: {text}, box: [5%, 46%, 95%, 54%]}}",
-            f"    answer: {_target(path, judged)}",
+            f"    answer: {_target(path, assessment)}",
         ]
     return [*lines, "margin: 1.5mm   # kept free around the questions", "camouflage: {type: texture}"]
 
 
-def _slab(facets: int, microfacets: int, why: str) -> Lines:
+def _lens(facets: int, microfacets: int, why: str) -> list[str]:
     return [
         "size: 100mm",
         f"# {why}",
         f"facets: {facets}",
         f"microfacets: {microfacets}   # flat cells along a facet's side; more of them are smoother and take longer",
-        "thickness: 40mm   # thicker slabs reach further with flatter facets",
-        "gap: 0mm   # the slab lies on the source",
+        "thickness: 40mm   # thicker lenses reach further with flatter facets",
+        "gap: 0mm   # the lens lies on the source",
         "material: acrylic",
     ]
 
 
-def _matched_lens(order: Order) -> Lines:
-    if order.fine:
-        names = " and ".join(order.fine[:2])
-        return _slab(64, 16, f"64 x 64 lenslets: {names} would lose detail in 32 x 32, which are 4 times quicker.")
-    return _slab(32, 22, "32 x 32 lenslets are enough for bold drawings; 64 show finer strokes and take longer.")
+def _matched_lens(request: Request) -> list[str]:
+    if request.fine:
+        names = " and ".join(request.fine[:2])
+        return _lens(64, 16, f"64 x 64 facets: {names} would lose detail in 32 x 32, which are 4 times quicker.")
+    return _lens(32, 22, "32 x 32 facets are enough for bold drawings; 64 show finer strokes and take longer.")
 
 
-def _steady_lens(_: Order) -> Lines:
-    return _slab(64, 11, "Nine eyes share every facet: many small ones keep the picture. 128 are better, and slow.")
+def _stable_zone_lens(_: Request) -> list[str]:
+    return _lens(64, 11, "Nine eyes share every facet: many small ones keep the picture. 128 are better, and slow.")
 
 
-def _universal_lens(_: Order) -> Lines:
-    return _slab(16, 64, "Each facet shows a patch as fine as it is painted, so that a few large facets are best.")
+def _universal_lens(_: Request) -> list[str]:
+    return _lens(16, 64, "Each facet shows a patch as fine as it is painted, so that a few large facets are best.")
 
 
-def _made(*matching: str) -> Lines:
+def _pipeline(*matching: str) -> list[str]:
     return [
         *matching,
         "exporters: [{type: stl}]   # also 3mf, obj, ply, glb, sheet (the source, to print); see 'mlens plugins'",
@@ -181,63 +198,79 @@ def _made(*matching: str) -> Lines:
     ]
 
 
-def _one_window(_: Order) -> Lines:
-    return _made(
+def _one_target_pipeline(_: Request) -> list[str]:
+    return _pipeline(
         "# A tenth of the source's width is enough to choose from for one picture; more makes facets steeper.",
         "matcher: {type: exhaustive, window: 10%}",
     )
 
 
-def _several_window(order: Order) -> Lines:
-    count = len(order.pictures)
+def _several_targets_pipeline(request: Request) -> list[str]:
+    count = len(request.pictures)
     if count == 1:
-        return _one_window(order)
-    return _made(
+        return _one_target_pipeline(request)
+    return _pipeline(
         f"# One patch must suit {count} pictures: in twice the usual window are four times as many to choose from.",
         "matcher: {type: exhaustive, window: 20%}",
     )
 
 
-def _askew(_: Order) -> Lines:
-    return _made(
+def _tilted_eyes_pipeline(_: Request) -> list[str]:
+    return _pipeline(
         "# Facets are matched again at the heights they get, as these move them in the pictures of tilted eyes.",
         "rematch: 2",
         "matcher: {type: multi-view}",
     )
 
 
-def _steady(_: Order) -> Lines:
-    return _made(
-        "# Small maps keep plain places plain while the eye moves, large ones keep edges where they are.",
+def _stable_zone_pipeline(_: Request) -> list[str]:
+    return _pipeline(
+        "# Small maps keep plain areas plain while the eye moves, large ones keep edges in position.",
         "matcher: {type: multi-view, scales: [0.15, 2.5], step: 0.3mm, pixels: 4, candidates: 49, polish: 12}",
     )
 
 
-def _painted(_: Order) -> Lines:
-    return _made("# The usual matcher here draws a place of its own for every facet; the encoder paints the sheets.")
+def _universal_pipeline(_: Request) -> list[str]:
+    return _pipeline("# The usual matcher here draws a sub-region for every facet; the encoder paints the sources.")
 
 
-def _past_questions(_: Order) -> Lines:
-    return _made(
-        "# Facets over the question look past it, so they reach further than usual.",
+def _question_pipeline(_: Request) -> list[str]:
+    return _pipeline(
+        "# Facets over the question show patches beside it, so they reach further than usual.",
         "matcher: {type: dart-throwing, reach: 8%}",
     )
 
 
 LAYOUTS = {
-    "single": Layout("One picture in one source", 1, 1, _single, _matched_lens, _one_window),
-    "rotating": Layout("A picture at every quarter turn", 1, 4, _rotating, _matched_lens, _several_window),
-    "multi-pair": Layout(
-        "A picture over each of several sheets", 1, 8, _multi_pair, _matched_lens, _several_window, source=False
+    "single": Layout(
+        "One picture in one source", 1, 1,
+        _single, _matched_lens, _one_target_pipeline,
     ),
-    "multi-view": Layout("Another picture for each eye", 1, 16, _multi_view, _matched_lens, _askew),
-    "stable-zone": Layout("A picture that stays while the eye moves", 1, 1, _stable_zone, _steady_lens, _steady),
+    "rotating": Layout(
+        "A picture at every quarter turn", 1, 4,
+        _rotating, _matched_lens, _several_targets_pipeline,
+    ),
+    "multi-pair": Layout(
+        "A picture over each of several sources", 1, 8,
+        _multi_pair, _matched_lens, _several_targets_pipeline,
+        source=False,
+    ),
+    "multi-view": Layout(
+        "Another picture for each eye", 1, 16,
+        _multi_view, _matched_lens, _tilted_eyes_pipeline,
+    ),
+    "stable-zone": Layout(
+        "A picture that stays while the eye moves", 1, 1,
+        _stable_zone, _stable_zone_lens, _stable_zone_pipeline,
+    ),
     "universal-animation": Layout(
-        "A lens for any picture, here for some frames", 1, 64, _animation, _universal_lens, _painted
+        "A lens for any picture, here for some frames", 1, 64,
+        _animation, _universal_lens, _universal_pipeline,
     ),
     "question-answer": Layout(
-        "Questions that turn into pictures", 1, 16, _questions, _universal_lens, _past_questions,
+        "Questions that turn into pictures", 1, 16,
+        _questions, _universal_lens, _question_pipeline,
         source=False, questions=True,
     ),
 }  # fmt: skip
-"""By scenario type."""
+"""Layouts by type of scenario."""

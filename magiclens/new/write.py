@@ -14,11 +14,11 @@ from pathlib import Path
 from magiclens.config.suggest import unknown
 from magiclens.contract.errors import InputError
 from magiclens.images import read_image
-from magiclens.new.judge import judge
-from magiclens.new.layouts import LAYOUTS, Order
+from magiclens.new.assess import assess
+from magiclens.new.layouts import LAYOUTS, Request
 
-WIDTH = 110
-"""Letters in a line of comment."""
+_COMMENT_WIDTH = 110
+"""Largest number of characters in a line of comment."""
 
 
 def new_spec(
@@ -29,33 +29,45 @@ def new_spec(
     questions: Sequence[str] = (),
     force: bool = False,
 ) -> str:
-    """Write a spec for these pictures to the file ``out``, and return its text; it passes ``mlens check``.
+    """Write a spec for a user's pictures.
 
-    source: what shall lie below the lens, instead of discs. Raises InputError naming what cannot be: the scenario, the
-    number of pictures, a picture that cannot be read or shows nothing, a file that is there already.
+    Args:
+        scenario: Type of the scenario.
+        pictures: Files of the pictures that the lens shall show.
+        out: The file to write.
+        source: File of the source; None for random discs.
+        questions: For question-answer, one per picture or none.
+        force: Whether to overwrite ``out`` if it exists.
+
+    Returns:
+        The text that was written; ``mlens check`` accepts it.
+
+    Raises:
+        InputError: The scenario does not exist or does not take what is given, a picture cannot be read or has no
+            contrast, or ``out`` exists already. Nothing is written.
     """
     if scenario not in LAYOUTS:
         raise InputError(unknown("scenario", scenario, LAYOUTS), "SCENARIO")
-    _refuse_number(scenario, len(pictures), source is not None, len(questions))
-    _refuse_place(out, force)
+    _check_request(scenario, len(pictures), source is not None, len(questions))
+    _check_out(out, force)
     files = _Files(out.parent)
     if source:
         read_image(source)
-    judged = tuple((files.path(path), judge(path)) for path in pictures)
-    order = Order(judged, files.path(source) if source else None, tuple(questions))
-    text = _text(scenario, order, [path.name for path in pictures], out.name)
+    assessed = tuple((files.path(path), assess(path)) for path in pictures)
+    request = Request(assessed, files.path(source) if source else None, tuple(questions))
+    text = _text(scenario, request, [path.name for path in pictures], out.name)
     _write(out, text)
     return text
 
 
 @dataclass(frozen=True)
 class _Files:
-    """Paths as a spec in ``folder`` writes them."""
+    """Writes paths as a spec in ``folder`` does."""
 
     folder: Path
 
     def path(self, file: Path) -> str:
-        """Relative to the spec, in quotes where YAML wants them."""
+        """A file's path relative to the folder, in quotes where YAML needs them."""
         try:
             found = Path(os.path.relpath(file.absolute(), self.folder.absolute())).as_posix()
         except ValueError:  # on another drive
@@ -63,7 +75,7 @@ class _Files:
         return found if re.fullmatch(r"[A-Za-z_.][\w./-]*", found, re.ASCII) else json.dumps(found, ensure_ascii=False)
 
 
-def _refuse_number(scenario: str, pictures: int, source: bool, questions: int) -> None:
+def _check_request(scenario: str, pictures: int, source: bool, questions: int) -> None:
     layout = LAYOUTS[scenario]
     if not layout.least <= pictures <= layout.most:
         many = f"{layout.least} to {layout.most} pictures" if layout.most > 1 else "one picture"
@@ -76,17 +88,17 @@ def _refuse_number(scenario: str, pictures: int, source: bool, questions: int) -
         raise InputError(f"{questions} questions for {pictures} pictures; write one for each", "--question")
 
 
-def _refuse_place(out: Path, force: bool) -> None:
+def _check_out(out: Path, force: bool) -> None:
     if out.is_dir() or not out.parent.is_dir():
         raise InputError(f"'{out}' cannot be a file: name a spec file (.yaml) in a folder that is there", "--out")
     if out.exists() and not force:
         raise InputError(f"'{out}' is there already; choose another, or --force", "--out")
 
 
-def _text(scenario: str, order: Order, names: Sequence[str], out: str) -> str:
+def _text(scenario: str, request: Request, names: Sequence[str], out: str) -> str:
     """The whole spec."""
     layout = LAYOUTS[scenario]
-    below, lens, pipeline = layout.scenario(order), layout.lens(order), layout.pipeline(order)
+    below, lens, pipeline = layout.scenario(request), layout.lens(request), layout.pipeline(request)
     return "\n".join(
         [
             *_comment(f"{layout.title}, made by 'mlens new {scenario}' from {', '.join(names)}.", ""),
@@ -122,11 +134,11 @@ def _indented(lines: Sequence[str]) -> list[str]:
 
 def _comment(text: str, space: str) -> list[str]:
     plain = "".join(letter if letter.isprintable() else " " for letter in text)
-    return textwrap.wrap(plain, WIDTH, initial_indent=f"{space}# ", subsequent_indent=f"{space}# ")
+    return textwrap.wrap(plain, _COMMENT_WIDTH, initial_indent=f"{space}# ", subsequent_indent=f"{space}# ")
 
 
 def _write(out: Path, text: str) -> None:
-    """Put the spec in its place once it has passed the check."""
+    """Write the spec beside its final path, and move it there when it has passed the check."""
     from magiclens.plan.compile import load_plan
 
     handle, name = tempfile.mkstemp(prefix=f".{out.stem}-", suffix=".yaml", dir=out.parent)

@@ -1,12 +1,13 @@
-"""Contract tests for stages. A plugin's author subclasses one class per stage, and pytest does the rest:
+"""Contract tests, for authors of plugins. Subclass one class per stage, and pytest does the rest:
 
     from magiclens.testing import ExporterContract
 
     class TestMine(ExporterContract):
         stage = Mine()
 
-What the classes ask is what runs rely on: equal seeds give equal artifacts, inputs stay as they are, artifacts have the
-shapes and units that ``magiclens.contract.stages`` promises. ``scenes`` may name other scenes than the usual two.
+The tests check what runs rely on: equal seeds give equal artifacts, inputs are not changed, and artifacts have the
+shapes and units that ``magiclens.contract.stages`` promises. A subclass may set ``scenes`` to other scenes than the usual
+two, and tolerances to other numbers than the usual ones.
 """
 
 from magiclens.testing.annealer import AnnealerContract

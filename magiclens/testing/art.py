@@ -12,13 +12,17 @@ from magiclens.testing.stage import digest
 
 
 class ArtContract:
-    """``draw = staticmethod(function)``: a picture of any size, in linear light, the same each time."""
+    """Checks a named picture: it has any size, is linear light, and is drawn the same each time.
+
+    Attributes:
+        draw: The function, as ``staticmethod(function)``; a subclass sets it.
+    """
 
     draw: Callable[[int], Any]
 
     @pytest.mark.parametrize("size_px", [16, 65, 300])
     def test_it_is_light_of_the_size_that_was_asked_for(self, size_px: int) -> None:
-        """(size, size, C) within 0 to 1, C = 1 or 3."""
+        """Its shape is (size, size, C), C = 1 or 3, and its light is within 0 to 1."""
         picture = np.asarray(self.draw(size_px))
         assert picture.shape in [(size_px, size_px, 1), (size_px, size_px, 3)], f"its shape is {picture.shape}"
         assert np.isfinite(picture).all(), "it has NaN or infinite values"

@@ -13,44 +13,50 @@ from magiclens.contract.checks import check_encoded
 from magiclens.contract.stages import Encoder, Progress
 from magiclens.images import resize, score
 from magiclens.testing.scenes import bumpy_solid
-from magiclens.testing.stage import Made, StageContract
+from magiclens.testing.stage import Outcome, StageContract
 
-SOURCE_PX, SEEN_PX, SAMPLES = 120, 64, 3
-SLACK_DB = 0.05
+_SOURCE_PX, _PICTURE_PX = 120, 64
+"""Sides of the source and of the picture, small so that the test is quick."""
+
+_SAMPLES = 3
+"""Rays along a side of a pixel."""
+
+_SLACK_DB = 0.05
+"""Loss of the picture that is put down to rounding."""
 
 
 class EncoderContract(StageContract):
-    """Sources change where they may, and the lens shows the targets better, not worse."""
+    """Checks that reserved pixels stay, and that the lens shows its targets no worse than before."""
 
     stage: Encoder
 
-    def given(self, scene: Scene) -> tuple[Any, ...]:
+    def inputs(self, scene: Scene) -> tuple[Any, ...]:
         """See StageContract. The first rows of the source are reserved."""
-        small = {view.source_name: resize(view.source, (SOURCE_PX, SOURCE_PX)) for view in scene.views}
+        small = {view.source_name: resize(view.source, (_SOURCE_PX, _SOURCE_PX)) for view in scene.views}
         views = tuple(replace(view, source=small[view.source_name]) for view in scene.views)
-        reserved = np.zeros((SOURCE_PX, SOURCE_PX), np.bool_)
-        reserved[: SOURCE_PX // 3] = True
+        reserved = np.zeros((_SOURCE_PX, _SOURCE_PX), np.bool_)
+        reserved[: _SOURCE_PX // 3] = True
         given = replace(scene, views=views, reserved=reserved)
         return given, _transports(given)
 
-    def work(self, given: tuple[Any, ...], rng: np.random.Generator, progress: Progress) -> Scene:
+    def call(self, inputs: tuple[Any, ...], rng: np.random.Generator, progress: Progress) -> Scene:
         """See StageContract."""
-        scene, transports = given
+        scene, transports = inputs
         return self.stage.encode(scene, transports, rng, progress)
 
-    def check(self, given: tuple[Any, ...], artifact: Any) -> None:
+    def check(self, inputs: tuple[Any, ...], artifact: Any) -> None:
         """See StageContract."""
-        check_encoded(given[0], artifact)
+        check_encoded(inputs[0], artifact)
 
-    def test_the_lens_shows_its_targets_no_worse(self, made: Made) -> None:
-        """PSNR after one exposure, the mean of all views."""
-        before, after = (_shown_db(scene, made.given[1]) for scene in (made.given[0], made.artifact))
-        assert after >= before - SLACK_DB, f"the targets were shown at {before:.2f} dB, and now at {after:.2f} dB"
+    def test_the_lens_shows_its_targets_no_worse(self, outcome: Outcome) -> None:
+        """This is the mean PSNR of all views, each after one exposure."""
+        before, after = (_shown_db(scene, outcome.inputs[1]) for scene in (outcome.inputs[0], outcome.artifact))
+        assert after >= before - _SLACK_DB, f"the targets were shown at {before:.2f} dB, and now at {after:.2f} dB"
 
-    def test_reserved_pixels_stay_as_they_are(self, made: Made) -> None:
-        """Bit for bit."""
-        for old, new in zip(made.given[0].views, made.artifact.views, strict=True):
-            same = new.source[made.given[0].reserved] == old.source[made.given[0].reserved]
+    def test_reserved_pixels_stay_as_they_are(self, outcome: Outcome) -> None:
+        """They are equal bit by bit."""
+        for old, new in zip(outcome.inputs[0].views, outcome.artifact.views, strict=True):
+            same = new.source[outcome.inputs[0].reserved] == old.source[outcome.inputs[0].reserved]
             assert same.all(), f"{(~same).any(axis=-1).sum()} reserved pixels of {old.source_name} have changed"
 
 
@@ -58,7 +64,7 @@ def _transports(scene: Scene) -> list[Transport]:
     from magiclens.rendering.transports import transport
 
     solid = bumpy_solid(scene)
-    return [transport(solid, scene.lens, view, SEEN_PX, SAMPLES) for view in scene.views]
+    return [transport(solid, scene.lens, view, _PICTURE_PX, _SAMPLES) for view in scene.views]
 
 
 def _shown_db(scene: Scene, transports: Sequence[Transport]) -> float:

@@ -14,54 +14,58 @@ from magiclens.contract.checks import BadArtifact, check_file
 from magiclens.contract.stages import Exporter, Progress
 from magiclens.testing.meshes import assert_closed, volume_mm3
 from magiclens.testing.scenes import bumpy_solid
-from magiclens.testing.stage import Made, StageContract
+from magiclens.testing.stage import Outcome, StageContract
 
 Mesh = tuple[FloatArray, IntArray]
-MESHES = (".stl", ".ply", ".obj", ".off", ".3mf", ".glb", ".gltf")
+"""Vertices (V, 3), mm, lens frame, and faces (F, 3)."""
+
+_MESH_SUFFIXES = (".stl", ".ply", ".obj", ".off", ".3mf", ".glb", ".gltf")
 
 
 class ExporterContract(StageContract):
-    """Equal solids give equal files, and a file that is a mesh holds the solid, in millimetres.
+    """Checks that equal solids give equal files, and that a file of a mesh holds the solid.
 
-    ``size_share``, ``volume_share``: by how much a mesh in a file may differ.
+    Attributes:
+        size_tolerance: Largest difference between the boxes of the mesh in the file and of the solid, as a share.
+        volume_tolerance: Largest difference between their volumes, as a share.
     """
 
     stage: Exporter
-    size_share = 1e-4
-    volume_share = 1e-3
+    size_tolerance = 1e-4
+    volume_tolerance = 1e-3
 
-    def given(self, scene: Scene) -> tuple[Any, ...]:
+    def inputs(self, scene: Scene) -> tuple[Any, ...]:
         """See StageContract."""
         return scene, bumpy_solid(scene)
 
-    def work(self, given: tuple[Any, ...], rng: np.random.Generator, progress: Progress) -> dict[str, bytes]:
-        """See StageContract. What is written, by file name."""
-        scene, solid = given
+    def call(self, inputs: tuple[Any, ...], rng: np.random.Generator, progress: Progress) -> dict[str, bytes]:
+        """See StageContract. The artifact is the contents of the files, by name."""
+        scene, solid = inputs
         with TemporaryDirectory() as folder:
             self.stage.export(scene, solid, Path(folder, self.file_name))
             return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(Path(folder).rglob("*")) if p.is_file()}
 
-    def check(self, given: tuple[Any, ...], artifact: Any) -> None:
+    def check(self, inputs: tuple[Any, ...], artifact: Any) -> None:
         """See StageContract."""
         with TemporaryDirectory() as folder:
             check_file(_put(artifact, folder) / self.file_name)
-        strangers = [name for name in artifact if not name.startswith("lens")]
-        if strangers:
-            raise BadArtifact(f"it has written {', '.join(strangers)}; names start as the asked one's")
+        misnamed = [name for name in artifact if not name.startswith("lens")]
+        if misnamed:
+            raise BadArtifact(f"it has written {', '.join(misnamed)}; names must start as that of the file asked for")
 
     @property
     def file_name(self) -> str:
-        """As in a run folder."""
+        """The name of the file, as in a run folder."""
         return f"lens{self.stage.suffix}"
 
     def read_mesh(self, path: Path) -> Mesh | None:
-        """Vertices (V, 3), mm, and faces (F, 3) in a file; None if it is no mesh. By trimesh, if the suffix says so.
+        """The mesh in a file, read by trimesh if the suffix is that of a mesh; None if the file holds no mesh.
 
         Override it for formats that trimesh does not read, or that have other units or axes.
         """
         import trimesh
 
-        if self.stage.suffix not in MESHES:
+        if self.stage.suffix not in _MESH_SUFFIXES:
             return None
         mesh = trimesh.load_mesh(path, process=False)
         mesh.merge_vertices(merge_tex=True, merge_norm=True)
@@ -69,27 +73,28 @@ class ExporterContract(StageContract):
 
     @pytest.fixture(scope="class")
     @classmethod
-    def mesh(cls, made: Made) -> Mesh | None:
-        """What is read from the file."""
+    def mesh(cls, outcome: Outcome) -> Mesh | None:
+        """The mesh that is read from the file."""
         contract = cls()
         with TemporaryDirectory() as folder:
-            return contract.read_mesh(_put(made.artifact, folder) / contract.file_name)
+            return contract.read_mesh(_put(outcome.artifact, folder) / contract.file_name)
 
     def test_a_mesh_in_the_file_is_closed(self, mesh: Mesh | None) -> None:
-        """And its normals point outward."""
+        """Its normals point outward."""
         if mesh:
             assert_closed(*mesh)
 
-    def test_a_mesh_in_the_file_is_as_large_as_the_solid(self, mesh: Mesh | None, made: Made) -> None:
-        """The same box and volume: units, axes and signs are right."""
+    def test_a_mesh_in_the_file_is_as_large_as_the_solid(self, mesh: Mesh | None, outcome: Outcome) -> None:
+        """Box and volume are the same, so units, axes and signs are right."""
         if mesh is None:
             return
-        solid: Solid = made.given[1]
+        solid: Solid = outcome.inputs[1]
         (low, high), (found_low, found_high) = ((v.min(axis=0), v.max(axis=0)) for v in (solid.vertices, mesh[0]))
         off = max(np.abs(low - found_low).max(), np.abs(high - found_high).max()) / np.ptp(solid.vertices)
-        assert off <= self.size_share, f"the file's mesh reaches from {found_low} to {found_high}, not {low} to {high}"
+        assert off <= self.size_tolerance, f"its mesh reaches from {found_low} to {found_high}, not from {low} to {high}"
         wanted, found = volume_mm3(solid.vertices, solid.faces), volume_mm3(*mesh)
-        assert abs(found / wanted - 1) <= self.volume_share, f"its volume is {found:.6g} mm^3 instead of {wanted:.6g}"
+        change = abs(found / wanted - 1)
+        assert change <= self.volume_tolerance, f"its volume is {found:.6g} mm^3 instead of {wanted:.6g}"
 
 
 def _put(files: dict[str, bytes], folder: str) -> Path:

@@ -12,49 +12,51 @@ from magiclens.contract.stages import Finisher, Progress
 from magiclens.images import score
 from magiclens.testing.meshes import assert_closed, volume_mm3
 from magiclens.testing.scenes import bumpy_solid
-from magiclens.testing.stage import Made, StageContract
+from magiclens.testing.stage import Outcome, StageContract
 
 
 class FinisherContract(StageContract):
-    """The solid stays closed and the lens it was.
+    """Checks that the solid stays closed, keeps its volume, and shows the same.
 
-    ``volume_share``: the most of the volume that may change. ``picture_db``: how much alike the lens's pictures before
-    and after must be.
+    Attributes:
+        volume_tolerance: Largest change of the volume, as a share.
+        least_agreement_db: Least PSNR between pictures of the lens after and before.
     """
 
     stage: Finisher
-    volume_share = 0.01
-    picture_db = 30.0
+    volume_tolerance = 0.01
+    least_agreement_db = 30.0
 
-    def given(self, scene: Scene) -> tuple[Any, ...]:
+    def inputs(self, scene: Scene) -> tuple[Any, ...]:
         """See StageContract."""
         return scene, bumpy_solid(scene)
 
-    def work(self, given: tuple[Any, ...], rng: np.random.Generator, progress: Progress) -> Solid:
+    def call(self, inputs: tuple[Any, ...], rng: np.random.Generator, progress: Progress) -> Solid:
         """See StageContract."""
-        scene, solid = given
+        scene, solid = inputs
         return self.stage.finish(scene, solid, progress)
 
-    def check(self, given: tuple[Any, ...], artifact: Any) -> None:
+    def check(self, inputs: tuple[Any, ...], artifact: Any) -> None:
         """See StageContract."""
         check_solid(artifact)
 
-    def test_the_solid_is_closed(self, made: Made) -> None:
+    def test_the_solid_is_closed(self, outcome: Outcome) -> None:
         """Every edge belongs to two faces that run along it in opposite ways; normals point outward."""
-        assert_closed(made.artifact.vertices, made.artifact.faces)
+        assert_closed(outcome.artifact.vertices, outcome.artifact.faces)
 
-    def test_it_is_as_large_as_before(self, made: Made) -> None:
-        """In millimetres, lens frame."""
-        before, after = (volume_mm3(solid.vertices, solid.faces) for solid in (made.given[1], made.artifact))
-        assert abs(after / before - 1) <= self.volume_share, f"the volume went from {before:.6g} to {after:.6g} mm^3"
+    def test_it_is_as_large_as_before(self, outcome: Outcome) -> None:
+        """Its volume is about the same."""
+        before, after = (volume_mm3(solid.vertices, solid.faces) for solid in (outcome.inputs[1], outcome.artifact))
+        change = abs(after / before - 1)
+        assert change <= self.volume_tolerance, f"the volume went from {before:.6g} to {after:.6g} mm^3"
 
-    def test_it_shows_the_same(self, scene: Scene, made: Made) -> None:
-        """As long as the solid still has the grid that the built-in tracer needs."""
+    def test_it_shows_the_same(self, scene: Scene, outcome: Outcome) -> None:
+        """This is checked if the solid still has the grid that the built-in tracer needs."""
         from magiclens.rendering.tracer import Tracer
 
-        if made.artifact.grid is None:
+        if outcome.artifact.grid is None:
             return
         tracer = Tracer(resolution=96, samples=2)
-        pairs = zip(tracer.render(scene, made.given[1]), tracer.render(scene, made.artifact), strict=True)
-        alike = min(score(after, before, 1.0).psnr_db for before, after in pairs)
-        assert alike >= self.picture_db, f"what the lens shows has changed: {alike:.1f} dB"
+        pairs = zip(tracer.render(scene, outcome.inputs[1]), tracer.render(scene, outcome.artifact), strict=True)
+        agreement = min(score(after, before, 1.0).psnr_db for before, after in pairs)
+        assert agreement >= self.least_agreement_db, f"pictures before and after differ: {agreement:.1f} dB"

@@ -14,95 +14,98 @@ from magiclens.contract.stages import Integrator, Progress
 from magiclens.geometry.solid import solid_from_heights
 from magiclens.integration.measures import slopes_deg
 from magiclens.testing.scenes import an_assignment, ramps
-from magiclens.testing.stage import SEED, Made, StageContract, digest
+from magiclens.testing.stage import SEED, Outcome, StageContract, assert_progress, digest
 
-SLACK_MM, SLACK_DEG = 1e-6, 2.0
+_SLACK_MM, _SLACK_DEG = 1e-6, 2.0
+"""Excess over the limits of height and slope that is accepted."""
 
 
 class IntegratorContract(StageContract):
-    """The surface keeps its limits, and facets look where they were told to.
+    """Checks that the surface keeps its limits, and that facets show their patches.
 
-    ``aim_mm``: the most by which the middle of a facet may miss its patch.
+    Attributes:
+        offset_tolerance_mm: Largest distance between the centre of a facet's patch and the point of the source that is
+            seen through the middle of the facet.
     """
 
     stage: Integrator
-    aim_mm = 1.5
+    offset_tolerance_mm = 1.5
 
-    def given(self, scene: Scene) -> tuple[Any, ...]:
+    def inputs(self, scene: Scene) -> tuple[Any, ...]:
         """See StageContract."""
         return scene, an_assignment(scene)
 
-    def work(self, given: tuple[Any, ...], rng: np.random.Generator, progress: Progress) -> HeightField:
+    def call(self, inputs: tuple[Any, ...], rng: np.random.Generator, progress: Progress) -> HeightField:
         """See StageContract."""
-        scene, assignment = given
+        scene, assignment = inputs
         return self.stage.integrate(scene, assignment, progress)
 
-    def check(self, given: tuple[Any, ...], artifact: Any) -> None:
+    def check(self, inputs: tuple[Any, ...], artifact: Any) -> None:
         """See StageContract."""
-        check_height_field(given[0].lens, artifact)
+        check_height_field(inputs[0].lens, artifact)
 
     @pytest.fixture(scope="class")
     @classmethod
-    def refined(cls, scene: Scene, made: Made) -> Made:
-        """What the stage makes of its surface once it is shown the pictures again; itself, if it does not refine."""
-        given, progress = (scene, made.artifact), list[float]()
-        before = digest(given)
+    def refined(cls, scene: Scene, outcome: Outcome) -> Outcome:
+        """What the stage makes of its own surface when it refines it."""
+        inputs, progress = (scene, outcome.artifact), list[float]()
+        before = digest(inputs)
         random.seed(0)
         np.random.seed(0)  # noqa: NPY002
-        artifact = cls.stage.refine(*given, progress.append)
-        return Made(given, artifact, before, digest(given), progress)
+        artifact = cls.stage.refine(*inputs, progress.append)
+        return Outcome(inputs, artifact, before, digest(inputs), progress)
 
-    def test_the_surface_stays_within_its_relief(self, scene: Scene, made: Made) -> None:
-        """Heights are millimetres above the reference plane."""
-        _assert_within_relief(scene, made.artifact)
+    def test_the_surface_stays_within_its_relief(self, scene: Scene, outcome: Outcome) -> None:
+        """No vertex is farther from the reference plane than the lens allows."""
+        _assert_within_relief(scene, outcome.artifact)
 
-    def test_no_micro_facet_is_steeper_than_the_limit(self, scene: Scene, made: Made) -> None:
-        """The angle between its normal and +z."""
-        _assert_not_steep(scene, made.artifact)
+    def test_no_micro_facet_is_steeper_than_the_limit(self, scene: Scene, outcome: Outcome) -> None:
+        """The slope is the angle between its normal and +z."""
+        _assert_not_steep(scene, outcome.artifact)
 
-    def test_facets_look_where_they_were_told_to(self, scene: Scene, made: Made) -> None:
-        """Traced: signs, axes and units are right."""
-        wanted = scene.lens.facet_centres_mm() + made.given[1].offsets_mm
-        missed = np.linalg.norm(_seen_mm(scene, made.artifact) - wanted, axis=-1)
+    def test_facets_show_their_patches(self, scene: Scene, outcome: Outcome) -> None:
+        """The lens is traced, so signs, axes and units are right."""
+        centres = scene.lens.facet_centres_mm() + outcome.inputs[1].offsets_mm
+        missed = np.linalg.norm(_seen_mm(scene, outcome.artifact) - centres, axis=-1)
         row, column = np.unravel_index(missed.argmax(), missed.shape)
-        assert missed.max() <= self.aim_mm, (
-            f"facet row {row}, column {column} looks {missed.max():.2f} mm off its patch, {self.aim_mm:g} will do"
+        assert missed.max() <= self.offset_tolerance_mm, (
+            f"facet row {row}, column {column} shows a point {missed.max():.2f} mm from the centre of its patch; "
+            f"{self.offset_tolerance_mm:g} mm is allowed"
         )
 
-    def test_refining_keeps_the_limits(self, scene: Scene, refined: Made) -> None:
-        """A valid height field, within relief and slope limit."""
+    def test_refining_keeps_the_limits(self, scene: Scene, refined: Outcome) -> None:
+        """The refined height field is valid and keeps the limits of height and slope."""
         try:
-            self.check(refined.given, refined.artifact)
+            self.check(refined.inputs, refined.artifact)
         except BadArtifact as error:
             pytest.fail(f"the refined surface breaks the contract: {error}")
         _assert_within_relief(scene, refined.artifact)
         _assert_not_steep(scene, refined.artifact)
 
-    def test_refining_changes_no_input(self, refined: Made) -> None:
-        """Scene and surface are read-only."""
-        assert refined.after == refined.before, "refine has changed what it was given; work on copies"
+    def test_refining_changes_no_input(self, refined: Outcome) -> None:
+        """Scene and height field are read-only."""
+        assert refined.after == refined.before, "refine has changed its inputs; work on copies"
 
-    def test_refining_twice_gives_the_same(self, refined: Made) -> None:
-        """Nothing is drawn by lot: there is no rng to draw from."""
+    def test_refining_twice_gives_the_same(self, refined: Outcome) -> None:
+        """Refining uses no random numbers."""
         random.seed(SEED)
         np.random.seed(SEED)  # noqa: NPY002
-        again = self.stage.refine(*refined.given)
+        again = self.stage.refine(*refined.inputs)
         assert digest(again) == digest(refined.artifact), "the same inputs were refined to two different surfaces"
 
-    def test_refining_tells_its_progress_in_fractions_that_grow(self, refined: Made) -> None:
-        """From 0 to 1; none at all is fine."""
-        told = np.array([0.0, *refined.progress, 1.0])
-        assert (np.diff(told) >= 0).all(), f"progress was told {list(refined.progress)}; fractions of 1, never less"
+    def test_refining_tells_its_progress_in_fractions_that_grow(self, refined: Outcome) -> None:
+        """They go from 0 to 1; a stage need not report any."""
+        assert_progress(refined)
 
 
 def _assert_within_relief(scene: Scene, built: HeightField) -> None:
     tallest, limit = np.abs(built.heights_mm).max(), scene.lens.relief_mm
-    assert tallest <= limit + SLACK_MM, f"it leaves the reference plane by {tallest:.3g} mm, the limit is {limit:g}"
+    assert tallest <= limit + _SLACK_MM, f"it leaves the reference plane by {tallest:.3g} mm, the limit is {limit:g}"
 
 
 def _assert_not_steep(scene: Scene, built: HeightField) -> None:
     steepest, limit = _steepest_deg(built), scene.lens.max_slope_deg
-    assert steepest <= limit + SLACK_DEG, f"a micro-facet slopes by {steepest:.1f} deg, the limit is {limit:g}"
+    assert steepest <= limit + _SLACK_DEG, f"a micro-facet slopes by {steepest:.1f} deg, the limit is {limit:g}"
 
 
 def _steepest_deg(built: HeightField) -> float:
@@ -110,7 +113,13 @@ def _steepest_deg(built: HeightField) -> float:
 
 
 def _seen_mm(scene: Scene, built: HeightField) -> FloatArray:
-    """(N, N, 2) the places of the source, lens frame, that the first view's eye sees in the middles of the facets."""
+    """Points of the source that the eye of the first view sees through the middles of the facets.
+
+    The colours of the source tell positions. The first view of all scenes is not turned, so it is in the lens frame.
+
+    Returns:
+        (N, N, 2) float64, mm, lens frame.
+    """
     from magiclens.rendering.tracer import Tracer
 
     n, size = scene.lens.facets, scene.lens.source_size_mm

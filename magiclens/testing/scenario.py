@@ -11,22 +11,26 @@ from magiclens.contract.artifacts import Lens
 from magiclens.scenarios.base import Scenario
 from magiclens.testing.stage import digest
 
-LENS = Lens(size_mm=20.0, source_size_mm=20.0, facets=4, microfacets=4)
+_LENS = Lens(size_mm=20.0, source_size_mm=20.0, facets=4, microfacets=4)
 
 
 class ScenarioContract:
-    """Views have names of their own, pictures in linear light with the same channels, and an eye above the lens."""
+    """Checks that views have different names, pictures with the same channels, and an eye above the lens.
+
+    Attributes:
+        scenario: The scenario to test; a subclass sets it.
+    """
 
     scenario: Scenario
 
     def test_it_can_be_written_to_a_spec_and_read_again(self) -> None:
-        """A run folder's ``spec.yaml`` has every key, and must mean the same."""
+        """A run folder's ``spec.yaml`` has every key, and must give the same scenario again."""
         written = json.loads(json.dumps(self.scenario.model_dump(mode="json", context={"inputs": None})))
         assert type(self.scenario).model_validate(written) == self.scenario, f"read again, {written} is another one"
 
     def test_views_have_names_of_their_own_and_an_eye_above_the_lens(self) -> None:
-        """World frame, mm."""
-        lens, viewer = self.scenario.fit(LENS, Viewer()), Viewer()
+        """Eyes are in the world frame, in millimetres."""
+        lens, viewer = self.scenario.fit(_LENS, Viewer()), Viewer()
         shots = self.scenario.shots(lens, viewer)
         assert shots, "there are no views"
         assert len({shot.name for shot in shots}) == len(shots), "two views have the same name"
@@ -34,10 +38,10 @@ class ScenarioContract:
         assert all(shot.rotation_deg % 90 == 0 for shot in shots), "rotations are quarter turns"
 
     def test_pictures_are_light_of_the_same_channels_and_the_same_each_time(self) -> None:
-        """(H, W, C) float32 within 0 to 1."""
+        """Pictures are (H, W, C), and their light is within 0 to 1."""
         from magiclens.images.art import ART
 
-        lens, viewer = self.scenario.fit(LENS, Viewer()), Viewer()
+        lens, viewer = self.scenario.fit(_LENS, Viewer()), Viewer()
         views = self.scenario.compiled(lens, viewer, ART)
         pictures = [picture for view in views for picture in (view.source, view.target)]
         assert len({picture.shape[2:] for picture in pictures}) == 1, "some pictures have one channel, others three"

@@ -1,4 +1,4 @@
-"""What all stages have in common."""
+"""The contract that all stages share."""
 
 from __future__ import annotations
 
@@ -20,14 +20,24 @@ from magiclens.plan.flaws import stage_flaw
 from magiclens.testing.scenes import one_view, two_turns
 
 SEED = 20
-DAY_S = 86_400.0
+"""Seed of the generators that stages are tested with."""
+
+_DAY_S = 86_400.0
 
 
 @dataclass(frozen=True)
-class Made:
-    """What a stage was given and made: its artifact, digests of the inputs before and after, fractions it reported."""
+class Outcome:
+    """What a stage made of its inputs.
 
-    given: tuple[Any, ...]
+    Attributes:
+        inputs: What the stage was called with, without the generator and the progress callback.
+        artifact: What it returned.
+        before: Digest of the inputs before the call.
+        after: Digest of the inputs after the call.
+        progress: The fractions that it reported.
+    """
+
+    inputs: tuple[Any, ...]
     artifact: Any
     before: str
     after: str
@@ -35,28 +45,30 @@ class Made:
 
 
 class StageContract:
-    """Base of the contracts. They give ``stage`` the inputs of each scene, and look at its artifact.
+    """Base of the contracts of all kinds of stages.
 
-    ``scenes``: functions without arguments, each of which makes a Scene.
+    Attributes:
+        stage: The stage to test; a subclass sets it.
+        scenes: Functions without arguments, each of which makes a scene that the stage is tested with.
     """
 
     stage: Stage
     scenes: ClassVar[Sequence[Callable[[], Scene]]] = (one_view, two_turns)
 
-    def given(self, scene: Scene) -> tuple[Any, ...]:
-        """The stage's inputs."""
+    def inputs(self, scene: Scene) -> tuple[Any, ...]:
+        """The inputs of the stage for a scene."""
         return (scene,)
 
-    def work(self, given: tuple[Any, ...], rng: np.random.Generator, progress: Progress) -> Any:
-        """Call the stage; the artifact."""
+    def call(self, inputs: tuple[Any, ...], rng: np.random.Generator, progress: Progress) -> Any:
+        """Call the stage with its inputs, and return its artifact."""
         raise NotImplementedError
 
-    def check(self, given: tuple[Any, ...], artifact: Any) -> None:
-        """What a run checks too. Raises BadArtifact."""
+    def check(self, inputs: tuple[Any, ...], artifact: Any) -> None:
+        """Check the artifact as a run does; raises BadArtifact."""
         raise NotImplementedError
 
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
-        """Every test that wants a scene gets each of them."""
+        """Run every test that has an argument ``scene`` with each of the scenes."""
         if "scene" in metafunc.fixturenames:
             names = [getattr(make, "__name__", str(k)) for k, make in enumerate(self.scenes)]
             metafunc.parametrize("scene", self.scenes, indirect=True, ids=names, scope="class")
@@ -65,58 +77,65 @@ class StageContract:
     @classmethod
     def scene(cls, request: pytest.FixtureRequest) -> Scene:
         """One of the scenes."""
-        made: Scene = request.param()
-        return made
+        scene: Scene = request.param()
+        return scene
 
     @pytest.fixture(scope="class")
     @classmethod
-    def made(cls, scene: Scene) -> Made:
-        """The stage's work on the scene, done once."""
+    def outcome(cls, scene: Scene) -> Outcome:
+        """What the stage makes of the scene; the stage is called once for all tests."""
         contract, progress = cls(), list[float]()
-        given = contract.given(scene)
-        before = digest(given)
-        artifact = contract.work(given, np.random.default_rng(SEED), progress.append)
-        return Made(given, artifact, before, digest(given), progress)
+        inputs = contract.inputs(scene)
+        before = digest(inputs)
+        artifact = contract.call(inputs, np.random.default_rng(SEED), progress.append)
+        return Outcome(inputs, artifact, before, digest(inputs), progress)
 
     def test_its_class_is_accepted(self) -> None:
-        """By the registry: ``kind``, ``type``, ``version`` and methods are there."""
+        """The registry accepts it: ``kind``, ``type``, ``version`` and the methods exist."""
         flaw = stage_flaw(type(self.stage))
         assert flaw is None, flaw
 
     def test_its_options_can_be_written_to_a_spec_and_read_again(self) -> None:
-        """A run folder's ``spec.yaml`` has every option, and must mean the same."""
+        """A run folder's ``spec.yaml`` has every option, and must give the same stage again."""
         written = json.loads(json.dumps(self.stage.model_dump(mode="json", context={"inputs": None})))
         assert type(self.stage).model_validate(written) == self.stage, f"read again, {written} is another stage"
 
-    def test_its_artifact_is_valid(self, made: Made) -> None:
-        """Types, shapes, finite numbers."""
+    def test_its_artifact_is_valid(self, outcome: Outcome) -> None:
+        """Its type, its shapes and its numbers are those that the contract promises."""
         try:
-            self.check(made.given, made.artifact)
+            self.check(outcome.inputs, outcome.artifact)
         except BadArtifact as error:
             pytest.fail(f"the artifact breaks the contract: {error}")
 
-    def test_equal_seeds_give_equal_artifacts(self, made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
-        """Whatever Python's and numpy's global generators are at, and on another day."""
+    def test_equal_seeds_give_equal_artifacts(self, outcome: Outcome, monkeypatch: pytest.MonkeyPatch) -> None:
+        """This holds whatever state the global generators of Python and numpy are in, and on another day."""
         random.seed(SEED)
         np.random.seed(SEED)  # noqa: NPY002
-        _tomorrow(monkeypatch)
-        again = self.work(made.given, np.random.default_rng(SEED), lambda _: None)
-        assert digest(again) == digest(made.artifact), (
+        _set_clock_to_tomorrow(monkeypatch)
+        again = self.call(outcome.inputs, np.random.default_rng(SEED), lambda _: None)
+        assert digest(again) == digest(outcome.artifact), (
             "the same inputs and the same rng gave two different artifacts; draw from rng alone, write no dates"
         )
 
-    def test_inputs_stay_as_they_are(self, made: Made) -> None:
-        """They are read-only: whoever comes next gets the same ones."""
-        assert made.after == made.before, "the stage has changed what it was given; work on copies"
+    def test_inputs_stay_as_they_are(self, outcome: Outcome) -> None:
+        """The next stage gets the same inputs."""
+        assert outcome.after == outcome.before, "the stage has changed its inputs; work on copies"
 
-    def test_progress_is_told_in_fractions_that_grow(self, made: Made) -> None:
-        """From 0 to 1, for the progress bar; none at all is fine."""
-        told = np.array([0.0, *made.progress, 1.0])
-        assert (np.diff(told) >= 0).all(), f"progress was told {list(made.progress)}; fractions of 1, never less"
+    def test_progress_is_told_in_fractions_that_grow(self, outcome: Outcome) -> None:
+        """They go from 0 to 1, for the progress bar; a stage need not report any."""
+        assert_progress(outcome)
+
+
+def assert_progress(outcome: Outcome) -> None:
+    """Fail unless the fractions that were reported are from 0 to 1 and do not descend."""
+    reported = np.array([0.0, *outcome.progress, 1.0])
+    assert (np.diff(reported) >= 0).all(), (
+        f"progress was told {list(outcome.progress)}; it takes fractions from 0 to 1 that do not descend"
+    )
 
 
 def digest(thing: Any) -> str:
-    """A hash of artifacts, arrays, matrices, and what holds them."""
+    """A hash of artifacts, arrays and sparse matrices, and of lists and mappings of them."""
     hashed = hashlib.sha256()
     _feed(hashed.update, thing)
     return hashed.hexdigest()
@@ -140,10 +159,10 @@ def _feed(update: Callable[[bytes], None], thing: Any) -> None:
         update(thing if isinstance(thing, bytes) else repr(thing).encode())
 
 
-def _tomorrow(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Move the clock that files are dated by."""
+def _set_clock_to_tomorrow(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Move the clock that programs take the date of a file from."""
     now, now_ns, local, utc = time.time, time.time_ns, time.localtime, time.gmtime
-    monkeypatch.setattr(time, "time", lambda: now() + DAY_S)
-    monkeypatch.setattr(time, "time_ns", lambda: now_ns() + round(DAY_S * 1e9))
-    monkeypatch.setattr(time, "localtime", lambda when=None: local(now() + DAY_S if when is None else when))
-    monkeypatch.setattr(time, "gmtime", lambda when=None: utc(now() + DAY_S if when is None else when))
+    monkeypatch.setattr(time, "time", lambda: now() + _DAY_S)
+    monkeypatch.setattr(time, "time_ns", lambda: now_ns() + round(_DAY_S * 1e9))
+    monkeypatch.setattr(time, "localtime", lambda when=None: local(now() + _DAY_S if when is None else when))
+    monkeypatch.setattr(time, "gmtime", lambda when=None: utc(now() + _DAY_S if when is None else when))

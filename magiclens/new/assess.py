@@ -1,4 +1,4 @@
-"""Looks at a user's picture and says how it should be shown, and why."""
+"""Assesses a user's picture: what kind of picture it is, and how a lens should show it."""
 
 from __future__ import annotations
 
@@ -13,24 +13,40 @@ from magiclens.images import luminance, read_image, resize, to_display
 from magiclens.images.resample import cropped_to_square, padded_to_square
 from magiclens.images.tones import toned
 
-SIDE = 512
-"""Pixels at which pictures are judged."""
-LEAST_CONTRAST = 0.1
-"""Display values between the darkest and the lightest hundredth of a picture that shows something."""
-MID_TONES = 0.25
-"""A picture with more of them is a photograph, or like one."""
-DARK_GROUND = 0.35
-COLOURED, COLOURFUL = 0.15, 0.05
-"""A pixel is coloured if its channels differ by more, a picture if more of its pixels are."""
-FINE = 1 / 30
-"""Strokes thinner than this share of the picture are lost between 32 facets."""
+_SIDE_PX = 512
+"""Side of the square to which a picture is resized before its strokes are measured."""
+
+_LEAST_CONTRAST = 0.1
+"""Least difference of display values between the darkest and the lightest hundredth of a picture."""
+
+_PHOTOGRAPH_SHARE = 0.25
+"""Share of pixels with middle tones from which a picture counts as a photograph."""
+
+_DARK_GROUND = 0.35
+"""Display value below which the border of a picture counts as dark."""
+
+_COLOURED_DIFFERENCE = 0.15
+"""Difference between channels, in display values, from which a pixel counts as coloured."""
+
+_COLOURED_SHARE = 0.05
+"""Share of coloured pixels from which a picture counts as coloured."""
+
+_FINE_STROKE = 1 / 30
+"""Width of strokes, as a share of the picture's, below which 32 facets along a side are too few to show them."""
 
 
 @dataclass(frozen=True)
-class Judgement:
-    """What was found in a picture. levels: display values of its darkest and lightest hundredth; None: full contrast.
+class Assessment:
+    """What was found in a picture.
 
-    stroke: mean width of what is drawn, as a share of the picture's width.
+    Attributes:
+        path: The picture's file.
+        size: (width, height) in pixels.
+        photograph: Whether it has many tones between black and white.
+        levels: Display values of its darkest and its lightest hundredth; None if they are about black and white.
+        invert: Whether it is a light drawing on a dark ground.
+        coloured: Whether it has colours.
+        stroke: Mean width of what is drawn, as a share of the picture's width.
     """
 
     path: Path
@@ -43,17 +59,17 @@ class Judgement:
 
     @property
     def crop(self) -> bool:
-        """Whether to cut it to its middle: what is drawn on plain paper can get more paper, a photograph cannot."""
+        """Whether to cut it to its middle square: a drawing can be centred on more white paper, a photograph cannot."""
         return self.photograph and self.size[0] != self.size[1]
 
     @property
     def fine(self) -> bool:
-        """Whether 32 x 32 facets are too coarse for it."""
-        return self.photograph or self.stroke < FINE
+        """Whether it has more detail than 32 x 32 facets show."""
+        return self.photograph or self.stroke < _FINE_STROKE
 
     @property
     def reasons(self) -> list[str]:
-        """What was found and what was done about it, a sentence each."""
+        """What was found and what is done about it, in sentences."""
         width, height = self.size
         kind = "a photograph, or like one: many tones between black and white" if self.photograph else "a drawing"
         found = [f"{self.path.name}: {width} x {height} pixels, {kind}."]
@@ -69,23 +85,23 @@ class Judgement:
         return found
 
 
-def judge(path: Path) -> Judgement:
-    """Judge a picture file. Raises InputError if it cannot be read, or shows next to nothing."""
+def assess(path: Path) -> Assessment:
+    """Assess a picture file. Raises InputError if it cannot be read, or has nearly no contrast."""
     picture = read_image(path)
     shown = to_display(luminance(picture))
     low, high = (float(level) for level in np.percentile(shown, (1, 99)))
-    if high - low < LEAST_CONTRAST:
+    if high - low < _LEAST_CONTRAST:
         raise InputError(f"it shows next to nothing: its tones differ by {100 * (high - low):.0f} %", str(path))
     stretched = low > 0.03 or high < 0.97
     levels = (_percent(low), _percent(high)) if stretched else None
     tones = np.clip((shown - low) / (high - low), 0, 1)
-    photograph = float(((tones > 0.15) & (tones < 0.85)).mean()) > MID_TONES
-    invert = not photograph and float(np.median(_border(tones))) < DARK_GROUND
+    photograph = float(((tones > 0.15) & (tones < 0.85)).mean()) > _PHOTOGRAPH_SHARE
+    invert = not photograph and float(np.median(_border(tones))) < _DARK_GROUND
     black, white = levels or (0.0, 1.0)
     whole = (cropped_to_square if photograph else padded_to_square)(toned(picture, black, white, invert))
-    small = resize(whole, (SIDE, SIDE))
+    small = resize(whole, (_SIDE_PX, _SIDE_PX))
     size = (picture.shape[1], picture.shape[0])
-    return Judgement(path, size, photograph, levels, invert, _colourful(picture), _stroke(_dark(small)))
+    return Assessment(path, size, photograph, levels, invert, _colourful(picture), _stroke(_dark(small)))
 
 
 def _percent(level: float) -> float:
@@ -93,26 +109,27 @@ def _percent(level: float) -> float:
 
 
 def _border(tones: FloatArray) -> FloatArray:
-    """The outermost pixels of a picture (H, W), in a row."""
+    """Display values of the outermost pixels: (pixels,) of a picture (H, W)."""
     wide = max(1, min(tones.shape) // 50)
     edges = (tones[:wide], tones[-wide:], tones[:, :wide], tones[:, -wide:])
     return np.concatenate([edge.ravel() for edge in edges])
 
 
 def _colourful(picture: FloatArray) -> bool:
-    return bool((np.ptp(to_display(picture), axis=-1) > COLOURED).mean() > COLOURFUL)
+    return bool((np.ptp(to_display(picture), axis=-1) > _COLOURED_DIFFERENCE).mean() > _COLOURED_SHARE)
 
 
 def _dark(picture: FloatArray) -> BoolArray:
-    """(S, S): ink."""
+    """Where a picture (S, S, C) in linear light is dark: (S, S)."""
     dark: BoolArray = to_display(luminance(picture)) < 0.5
     return dark
 
 
 def _stroke(ink: BoolArray) -> float:
-    """Mean width of what is drawn, as a share of the picture: a long stroke of width w has area w L and outline 2 L.
+    """Mean width of what is drawn, as a share of the picture's side: 2 area / outline.
 
-    The outline of a digital picture, its edges counted along rows and columns, is longer by 4 / pi on average.
+    A long stroke of width w and length L has the area w L and an outline of 2 L. Edges of pixels along rows and columns
+    make an outline that is longer by 4 / pi, on average over all directions, so their number is corrected by that.
     """
     edges = int((ink[1:] != ink[:-1]).sum() + (ink[:, 1:] != ink[:, :-1]).sum())
     return 2 * float(ink.sum()) / max(edges * np.pi / 4, 1) / len(ink)
