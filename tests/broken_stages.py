@@ -1,4 +1,4 @@
-"""Stages that each break one clause of their contract; ``test_contracts.py`` sees that the contract's tests notice."""
+"""Stages that each break one clause of their contract; ``test_contracts.py`` checks that the contract's tests fail."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ from magiclens.testing import (
 )
 
 EXPECTED: dict[str, str] = {}
-"""By the name of a test class below, the test that must fail."""
+"""The test that must fail, by the name of a test class below."""
 
 
 def must_fail(test: str) -> Callable[[type], type]:
@@ -375,7 +375,7 @@ class TestFinisherThatFlattens(FinisherContract):
 
 
 class Painting(Encoder):
-    """Changes views as it is told to."""
+    """Changes views by a function."""
 
     type: ClassVar[str] = "painting"
     change: ClassVar[Callable[[View], View]]

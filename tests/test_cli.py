@@ -1,4 +1,4 @@
-"""The command line: what it says, how it ends, and how soon."""
+"""The command line: what it prints, its exit codes, and how quickly it starts."""
 
 from __future__ import annotations
 
@@ -193,24 +193,24 @@ def test_json_of_a_run_is_its_manifest_and_nothing_else(mlens: Any, write_spec: 
 
 
 def test_json_of_a_check_names_the_views(mlens: Any, write_spec: SpecWriter) -> None:
-    facts = json.loads(mlens("check", write_spec(), "--json").stdout)
-    assert facts["scenario"] == "rotating"
-    assert facts["views"] == ["rotation-000", "rotation-090"]
+    data = json.loads(mlens("check", write_spec(), "--json").stdout)
+    assert data["scenario"] == "rotating"
+    assert data["views"] == ["rotation-000", "rotation-090"]
 
 
 def test_json_of_a_plan_is_the_resolved_spec(mlens: Any, write_spec: SpecWriter) -> None:
-    facts = json.loads(mlens("plan", write_spec(), "--json", "--set", "lens.facets=3").stdout)
-    assert facts["lens"]["facets"] == 3
-    assert facts["pipeline"]["matcher"] == {"type": "toy", "sweeps": 5, "window": "10%", "step": "0.5mm"}
+    data = json.loads(mlens("plan", write_spec(), "--json", "--set", "lens.facets=3").stdout)
+    assert data["lens"]["facets"] == 3
+    assert data["pipeline"]["matcher"] == {"type": "toy", "sweeps": 5, "window": "10%", "step": "0.5mm"}
 
 
 def test_json_of_plugins_names_contributions_and_failures(mlens: Any, registry: Registry) -> None:
     registry.register(plugin_of(3), Plugin("odd", "odd-package", "0.3"))
-    facts = json.loads(mlens("plugins", "--json").stdout)
-    toy = next(one for one in facts["contributions"] if (one["kind"], one["name"]) == ("matcher", "toy"))
+    data = json.loads(mlens("plugins", "--json").stdout)
+    toy = next(one for one in data["contributions"] if (one["kind"], one["name"]) == ("matcher", "toy"))
     assert toy["plugins"] == [{"name": "toys", "package": "magiclens-toys", "version": "1.2"}]
     assert toy["options"] == ["sweeps", "window", "step"]
-    assert facts["failures"][0]["plugin"]["package"] == "odd-package"
+    assert data["failures"][0]["plugin"]["package"] == "odd-package"
 
 
 @pytest.mark.parametrize("command", ["run", "check", "plan"])

@@ -1,4 +1,4 @@
-"""The doctor: what it looks for, what it says of what is missing, and when it gives up."""
+"""``mlens doctor``: what it looks for, what it says about what is missing, and when its exit code is 1."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from toys import plugin_of
 
 @pytest.fixture(autouse=True)
 def no_llvm(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Trying an LLVM takes seconds."""
+    """No LLVM is found, since trying one takes seconds."""
     monkeypatch.setattr("magiclens.rendering.mitsuba.working_llvm", lambda: None)
 
 
@@ -84,7 +84,7 @@ def test_a_broken_library_makes_it_unfit(registry: Registry, monkeypatch: pytest
     assert "OSError: libfreetype is gone" in diagnoses_text(diagnoses)
 
 
-def test_a_broken_plugin_is_named_and_is_no_reason_to_give_up(registry: Registry) -> None:
+def test_a_broken_plugin_is_named_and_does_not_make_it_unfit(registry: Registry) -> None:
     registry.register(plugin_of(3), Plugin("odd", "odd-package", "0.3"))
     diagnoses = {diagnosis.name: diagnosis for diagnosis in examine(registry)}
     assert diagnoses["plugins"].status == "broken"
@@ -92,7 +92,7 @@ def test_a_broken_plugin_is_named_and_is_no_reason_to_give_up(registry: Registry
     assert not unfit(diagnoses.values())
 
 
-def test_a_cache_that_cannot_be_written_is_told(
+def test_a_cache_that_cannot_be_written_is_reported(
     registry: Registry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "file").touch()
@@ -107,9 +107,9 @@ def test_the_command_prints_a_table_or_json(registry: Registry, monkeypatch: pyt
     plain = CliRunner().invoke(app, ["doctor"])
     assert plain.exit_code == 0
     assert "numpy" in plain.stdout
-    facts = json.loads(CliRunner().invoke(app, ["doctor", "--json"]).stdout)
-    assert facts["status"] == "ok"
-    assert {"name", "status", "found", "needed", "help"} == set(facts["findings"][0])
+    data = json.loads(CliRunner().invoke(app, ["doctor", "--json"]).stdout)
+    assert data["status"] == "ok"
+    assert {"name", "status", "found", "needed", "help"} == set(data["findings"][0])
 
 
 def test_the_command_ends_with_1_when_something_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:

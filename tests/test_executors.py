@@ -1,4 +1,4 @@
-"""Executors: order, failures that stop nobody else, processes that die, and how one is chosen."""
+"""Executors: the order of results, failures that stop no other item, processes that die, and choosing an executor."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_an_item_that_fails_stops_no_other(executor: Executor) -> None:
     assert str(error) == "here: one is not allowed"
 
 
-def test_who_needs_all_results_gets_the_first_error(executor: Executor) -> None:
+def test_the_first_error_is_raised_where_all_results_are_needed(executor: Executor) -> None:
     results = raising(executor.map(picky, range(3)))
     assert next(results) == 0
     with pytest.raises(InputError, match="one is not allowed"):
@@ -93,13 +93,13 @@ def test_a_process_that_dies_takes_only_its_item_with_it() -> None:
 
 
 def test_processes_work_side_by_side_and_share_the_cores() -> None:
-    places = set(raising(Processes(workers=2).map(here, range(4))))
-    assert len({process for process, _ in places}) == 2
-    assert os.getpid() not in {process for process, _ in places}
-    assert {threads for _, threads in places} == {str(threads_each(2))}
+    workers = set(raising(Processes(workers=2).map(here, range(4))))
+    assert len({process for process, _ in workers}) == 2
+    assert os.getpid() not in {process for process, _ in workers}
+    assert {threads for _, threads in workers} == {str(threads_each(2))}
 
 
-def test_threads_are_shared_out_and_nobody_goes_without() -> None:
+def test_threads_are_shared_out_and_each_process_has_one_at_least() -> None:
     assert threads_each(1) == cores()
     assert threads_each(10_000) == 1
 

@@ -1,4 +1,4 @@
-"""What programs and notebooks use: ``magiclens.run``, arrays as attributes, the contact sheet in a notebook."""
+"""What programs and notebooks use: ``magiclens.run``, pictures and heights as arrays, the picture in a notebook."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ NOTEBOOK = Path(__file__).parent.parent / "docs" / "notebooks" / "first-lens.ipy
 def toys(
     registry: Registry, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """Lenses take no time, and start in a folder of their own."""
+    """Designing a lens takes no time, and the current folder is empty."""
     monkeypatch.setattr(Registry, "load", lambda: registry)
     monkeypatch.chdir(tmp_path)
 

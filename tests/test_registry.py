@@ -49,7 +49,7 @@ def mlens_art():
 
 
 def install(folder: Path, name: str, source: str, version: str = "2.1") -> None:
-    """What pip leaves behind for a package of one module that registers it as an entry point."""
+    """Write the files that pip installs for a package of one module that is an entry point."""
     module = name.replace("-", "_")
     (folder / f"{module}.py").write_text(source)
     info = folder / f"{module}-{version}.dist-info"
@@ -79,7 +79,7 @@ def test_an_installed_package_contributes_through_its_entry_point(site: Path) ->
     assert "dot" in registry.types(NAMED_ART)
 
 
-def test_built_in_things_come_through_the_same_door() -> None:
+def test_built_in_stages_come_through_the_same_entry_points() -> None:
     registry = Registry.load()
     found = registry.find(SCENARIO, "rotating")
     assert found is not None
@@ -180,7 +180,7 @@ def test_a_plugin_written_for_this_contract_or_an_older_second_number_is_used(mo
     assert registry.failures == []
 
 
-def test_a_plugin_that_forgets_to_mark_its_hooks_is_told() -> None:
+def test_a_plugin_that_forgets_to_mark_its_hooks_gets_a_remark() -> None:
     registry = Registry()
     registry.register(SimpleNamespace(mlens_stages=lambda: [ToyMatcher]), TOY_PLUGIN)
     assert registry.failures == []
@@ -207,17 +207,17 @@ def test_what_is_meant_to_end_the_program_is_blamed_on_its_plugin(error: BaseExc
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), Terminated(143), InputError("wrong")])
-def test_interrupts_signals_and_wrong_input_are_nobodys_fault(error: BaseException) -> None:
+def test_interrupts_signals_and_wrong_input_are_not_blamed_on_a_plugin(error: BaseException) -> None:
     with pytest.raises(type(error)), blaming("matcher x (pack 1)"):
         raise error
 
 
-def test_a_failure_is_blamed_once_on_who_was_nearest() -> None:
+def test_a_failure_is_blamed_once_on_the_innermost_plugin() -> None:
     with pytest.raises(StageError, match=r"^inner: no facet$"), blaming("outer"), blaming("inner"):
         raise StageError("no facet")
 
 
-def test_options_that_json_has_no_words_for_do_not_spoil_the_schema_of_the_rest() -> None:
+def test_options_that_json_cannot_describe_do_not_spoil_the_schema_of_the_rest() -> None:
     class Odd(ToyExporter):
         type: ClassVar[str] = "odd"
         shape: Callable[[int], int] = abs
@@ -319,7 +319,7 @@ def test_a_missing_stage_points_to_failed_plugins(write_spec: SpecWriter) -> Non
         load_plan(write_spec(), registry=registry)
 
 
-def test_an_observer_that_fails_is_reported_and_the_next_one_is_told() -> None:
+def test_an_observer_that_fails_is_reported_and_the_next_one_is_called() -> None:
     heard: list[float] = []
 
     def deaf(seconds: float) -> None:

@@ -1,4 +1,4 @@
-"""Plugins by strangers: the copier template and the how-to page yield packages whose contract tests are green."""
+"""Plugins that are written by others: the template and the how-to page make packages whose contract tests pass."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def plugins(template: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def site(plugins: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """All of them installed by pip, without asking anybody for anything."""
+    """All of them installed by pip, without access to the network."""
     site = tmp_path_factory.mktemp("site")
     sources = [shutil.copytree(p, site.parent / "sources" / p.name) for p in sorted(plugins.iterdir())]
     quiet = ["--quiet", "--no-deps", "--no-index", "--no-build-isolation", "--disable-pip-version-check"]

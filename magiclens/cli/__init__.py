@@ -20,9 +20,10 @@ app = typer.Typer(
     help="Design magic lenses: clear slabs that reveal a hidden picture in another one.",
     epilog="Exit codes: 0 done; 1 a stage or a plugin failed; 2 the input is wrong.",
     no_args_is_help=True,
-    rich_markup_mode=None,
+    rich_markup_mode=None,  # typer would import rich, which makes --help slow
     pretty_exceptions_enable=False,
 )
+"""The command line as typer has it."""
 
 COMMANDS: dict[str, Callable[..., None]] = {
     "run": run.run_command,

@@ -96,7 +96,7 @@ def reporting(traceback: bool) -> Iterator[None]:
     except OSError as error:
         _fail(f"{error.filename or 'file'}: {error.strerror}", 1, traceback)
     except KeyboardInterrupt:
-        _fail("interrupted", 130, traceback)
+        _fail("interrupted", 128 + signal.SIGINT, traceback)  # as shells count it
 
 
 def _fail(message: str, code: int, traceback: bool) -> NoReturn:
@@ -118,6 +118,7 @@ def print_result(
         as_json: Print ``data`` and nothing else.
     """
     if as_json:
+        # NaN is not JSON, and most readers of JSON fail on it
         typer.echo(json.dumps(data(), indent=2, allow_nan=False))
     elif not quiet:
         typer.echo(text())

@@ -112,6 +112,7 @@ def unfit(diagnoses: Iterable[Diagnosis]) -> bool:
 def _python() -> Diagnosis:
     import platform
 
+    # pip refuses older versions, but an environment that was copied may still have one
     known = sys.version_info >= (3, 11)
     what = f"{platform.python_version()}, {platform.system()} {platform.machine()}"
     return Diagnosis("python", "ok" if known else "broken", what, True, "magiclens needs Python 3.11 or newer")
@@ -155,6 +156,7 @@ def _numba_cache() -> Diagnosis:
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     spec = find_spec("magiclens")
     folders = [Path(chosen)] if chosen else [Path(spec.origin).parent] if spec and spec.origin else []
+    # numba looks for a folder in this order, too
     if not chosen:
         folders.append(Path.home() / ".cache")
     writable = next((folder for folder in folders if _writable(folder)), None)

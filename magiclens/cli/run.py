@@ -40,6 +40,7 @@ def run_command(
         from magiclens.running.pipeline import run_spec
 
         end_on_sigterm()
+        # progress goes to standard error, so that standard output holds the result alone
         done = run_spec(spec, out, overrides, Observer() if quiet or as_json else terminal_observer(sys.stderr))
         print_result(lambda: _summary(done), lambda: {"folder": str(done.folder), **done.manifest}, quiet, as_json)
 

@@ -63,6 +63,7 @@ class Checker:
     def raise_first(self) -> None:
         """Raise an InputError about the mistake that comes first in the file; missing keys come after all others."""
         if self._problems:
+            # what is missing may follow from a misspelt key, which is the mistake to show then
             first = min(self._problems, key=lambda p: (not self._document.written(p.at), self._document.order(p.at)))
             raise InputError(f"{dotted(first.at)}: {first.message}", self._document.where(first.at))
 
@@ -79,6 +80,7 @@ def _as_in_yaml(loc: Keys, data: Any) -> tuple[Keys, Any]:
     keys: list[str | int] = []
     node, named = data, False
     for step in loc:
+        # pydantic inserts the type of a union's member, which is not a key of the file
         named = not named and isinstance(node, dict) and node.get("type") == step
         if not named:
             keys.append(step)

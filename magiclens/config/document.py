@@ -83,6 +83,7 @@ class Document:
         return node
 
     def _override(self, at: Keys) -> Override | None:
+        # later overrides win, as their values do
         return next((o for o in reversed(self.overrides) if at[: len(o.keys)] == o.keys), None)
 
     def _line(self, at: Keys) -> int:
@@ -158,7 +159,7 @@ def _parse(text: str, name: str) -> Any:
         mark = error.problem_mark or error.context_mark
         line = mark.line if mark else 0
         raise InputError(_syntax(str(error.problem), text, line), f"{name}:{line + 1}") from None
-    except RecursionError:
+    except RecursionError:  # the parser calls itself for every level
         raise InputError("this is nested too deeply", f"{name}:1") from None
     except (YAMLError, ValueError) as error:
         raise InputError(f"this is not YAML: {str(error).splitlines()[0]}", f"{name}:1") from None
@@ -195,6 +196,7 @@ def _mark(node: Any, key: Any, at: Keys, lines: dict[Keys, int]) -> Keys:
 def _scalar(node: Any) -> Any:
     from ruamel.yaml.scalarbool import ScalarBoolean
 
+    # ruamel's scalars remember how they were written; pydantic, where it is strict, accepts plain ones only
     if node is None or isinstance(node, bool):
         return node
     if isinstance(node, ScalarBoolean):

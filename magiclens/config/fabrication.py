@@ -42,6 +42,7 @@ class Fabrication:
         if isinstance(self.machine, Mill) and "integrator" in own:
             own["integrator"]["step_limit"] = LENGTH.text(round(self.machine.step_mm(wall_mm), 4))
         both: dict[str, Choice] = {**own, **scenarios}
+        # options of the machine hold even if the scenario chose the stage, such as the step limit of mills
         for kind, usual in own.items():
             if both[kind]["type"] == usual["type"]:
                 both[kind] = {**both[kind], **usual}
@@ -67,9 +68,11 @@ class Fabrication:
         if lens.wall < machine.wall:
             yield "wall", self._beyond(LENGTH.text(machine.wall), LENGTH.text(lens.wall), "least")
         if lens.size / lens.facets < machine.feature:
+            # 30 mm / 0.3 mm is a little less than 100 in binary fractions
             fits = max(int(lens.size / machine.feature + 1e-9), 1)
             narrow = f"facets of {LENGTH.text(lens.size / lens.facets)}"
             yield "facets", f"{narrow} are below the {LENGTH.text(machine.feature)} of {self.name}; at most {fits} fit"
+        # the lens is square, and lies on the bed in either direction
         if lens.size > max(machine.bed[:2]) or lens.size > min(machine.bed[:2]):
             yield "size", self._beyond(LENGTH.text(min(machine.bed[:2])), LENGTH.text(lens.size), "most")
         if isinstance(machine, Mill):

@@ -56,6 +56,7 @@ def _find(value: object, info: ValidationInfo) -> Path:
         raise ValueError(f"'{path}' is a folder; name a file in it")
     if not path.is_file():
         raise ValueError(missing_file(path))
+    # absolute, since executors may work in another folder
     return path.absolute()
 
 

@@ -36,7 +36,7 @@ def _material_names(schema: dict[str, Any]) -> None:
 
 
 class LensSpec(SpecModel):
-    """The slab: its size, its facets, its material and its limits."""
+    """The lens: its size, its facets, its material and its limits."""
 
     size: Length = Field("100mm", validate_default=True, gt=0, description="side of the square lens")
     facets: int = Field(32, strict=True, ge=1, le=1024, description="facets along one side")
@@ -73,6 +73,7 @@ class LensSpec(SpecModel):
     @field_validator("wall")
     @classmethod
     def _wall_fits(cls, value: float, info: ValidationInfo) -> float:
+        # a field with a mistake is missing here; its own mistake is reported
         pitch = info.data.get("size", math.inf) / info.data.get("facets", 1)
         if value > pitch / 2:
             raise ValueError(f"the wall is wider than half a facet; at most {LENGTH.text(pitch / 2)}")
@@ -103,7 +104,7 @@ class LensSpec(SpecModel):
             microfacets=self.microfacets,
             thickness_mm=self.thickness,
             gap_mm=self.gap,
-            ior=float(ior or 0),
+            ior=float(ior or 0),  # the validators made sure that there is one
             wall_mm=self.wall,
             relief_mm=self.relief,
             max_slope_deg=self.max_slope,
@@ -225,7 +226,7 @@ class Spec(SpecModel):
     name: str = Field("lens", pattern=r"^[A-Za-z0-9][A-Za-z0-9._ -]*$", description="names the run folder")
     seed: int = Field(0, strict=True, ge=0, description="equal seeds give equal lenses")
     scenario: Choice = Field(description="what the lens shows, from where")
-    lens: LensSpec = Field(default_factory=LensSpec, description="the slab")
+    lens: LensSpec = Field(default_factory=LensSpec, description="the lens itself")
     viewer: Viewer = Field(default_factory=Viewer, description="the eye")
     medium: Medium | None = Field(None, description="black and white of what shows the source; ideal ones if left out")
     fabrication: MachineChoice = Field(None, description="the machine that makes the lens: its limits hold")

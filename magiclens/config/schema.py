@@ -86,6 +86,7 @@ def _one_of(noun: str, classes: _Classes) -> dict[str, Any]:
 
 
 def _any_of(kind: str, classes: _Classes) -> dict[str, Any]:
+    # options without a type may fit several stages, which oneOf would refuse
     return {"anyOf" if key == "oneOf" else key: value for key, value in _one_of(kind, classes).items()}
 
 

@@ -75,6 +75,7 @@ def keys_at(model: type[BaseModel], at: Keys) -> list[str]:
 
 
 def _models_at(model: type[BaseModel], at: Keys) -> list[type[BaseModel]]:
+    # several models, since a field may be a union
     found = [model]
     for step in at:
         tagged = [m for m in found if step in _tag(m)]
@@ -108,6 +109,7 @@ def _as_written(bound: Any, written: Any) -> Any:
     """A bound in a unit of the kind in which the value was written."""
     if not isinstance(bound, int | float) or not isinstance(written, str):
         return bound
+    # pydantic knows the plain numbers only: 90, where the user has written 100deg
     for quantity in (FRACTION, ANGLE, LENGTH):
         if re.match(quantity.pattern, written.strip()):
             return quantity.text(bound)

@@ -133,6 +133,7 @@ class Viewpoint:
     @property
     def eye_in_lens_frame_mm(self) -> FloatArray:
         """Position of the eye in the lens frame: (3,) float64, mm."""
+        # cosine and sine of quarter turns, exact
         c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[self.quarter_turns]
         x, y, z = self.eye_mm
         return np.array([c * x + s * y, -s * x + c * y, z])
@@ -312,13 +313,14 @@ class HeightField(_ReadOnly):
         if self.eye_mm is None:
             upright: FloatArray = plane + np.stack([np.zeros_like(h), np.zeros_like(h), h], axis=-1)
             return upright
-        rays = plane - self.eye_mm
+        rays = plane - self.eye_mm  # from the eye down, so that their z is -D
         lifted: FloatArray = self.eye_mm + np.exp(h / rays[..., 2])[..., None] * rays
         return lifted
 
     def facet_points_mm(self) -> FloatArray:
         """Positions of all vertices: (N, N, m + 1, m + 1, 3) float64, mm, lens frame."""
         lens, m = self.lens, self.lens.microfacets
+        # a facet ends half a wall before its cell does
         within = (np.arange(m + 1) / m - 0.5) * (lens.pitch_mm - lens.wall_mm)
         centres = lens.facet_centres_mm()[:, :, None, None]
         return self.points_mm(centres[..., 0] + within, centres[..., 1] - within[:, None], self.heights_mm)
@@ -379,6 +381,7 @@ class Transport:
         """The matrix after counter-clockwise quarter turns of lens and eye together; both rasters must be square."""
         if quarter_turns % 4 == 0:
             return self
+        # turning both rasters renumbers the rows and columns of the matrix; its entries stay
         pixels, sources = (
             np.rot90(np.arange(rows * columns, dtype=np.int32).reshape(rows, columns), turns).ravel()
             for (rows, columns), turns in ((self.shape, quarter_turns), (self.source_shape, -quarter_turns))

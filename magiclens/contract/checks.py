@@ -40,6 +40,7 @@ def check_candidates(lens: Lens, found: object) -> None:
     _shape("errors", candidates.errors, (n, n, max(k, 1)))
     _shape("offsets_mm", candidates.offsets_mm, (n, n, k, 2))
     _shape("maps", candidates.maps, (n, n, k, 3))
+    # an error of inf marks the free end of a list, where the other arrays may hold anything
     usable = np.isfinite(candidates.errors)
     if np.isnan(candidates.errors).any():
         raise BadArtifact("errors has NaN")
@@ -98,6 +99,7 @@ def check_encoded(given: Scene, found: object) -> None:
         raise BadArtifact("its scene has another lens or other views")
     for old, new in zip(given.views, scene.views, strict=True):
         _shape(f"the source of {old.name}", new.source, old.source.shape)
+        # written so that NaN fails, too
         if not (new.source.min() >= 0 and new.source.max() <= 1):
             raise BadArtifact(f"the source of {old.name} is not within 0 to 1")
         if not _same_view(replace(new, source=old.source), old):

@@ -82,6 +82,7 @@ class Processes(Executor):
         free: SimpleQueue[ProcessPoolExecutor] = SimpleQueue()
         for _ in range(self.workers):
             free.put(self._process())
+        # a thread waits for each process, so that results come in order and a dead process concerns its thread alone
         threads = ThreadPoolExecutor(self.workers)
         try:
             yield from threads.map(partial(self._work, free, function), items)

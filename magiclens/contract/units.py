@@ -67,7 +67,7 @@ class Quantity:
 
 
 def _is_number(value: object) -> bool:
-    if isinstance(value, bool):
+    if isinstance(value, bool):  # a kind of int in Python
         return False
     return isinstance(value, int | float) or (isinstance(value, str) and bool(re.fullmatch(_NUMBER, value.strip())))
 

@@ -92,6 +92,7 @@ def assess(path: Path) -> Assessment:
     low, high = (float(level) for level in np.percentile(shown, (1, 99)))
     if high - low < _LEAST_CONTRAST:
         raise InputError(f"it shows next to nothing: its tones differ by {100 * (high - low):.0f} %", str(path))
+    # scans and JPEGs are never quite black or white; 3 % does not show
     stretched = low > 0.03 or high < 0.97
     levels = (_percent(low), _percent(high)) if stretched else None
     tones = np.clip((shown - low) / (high - low), 0, 1)

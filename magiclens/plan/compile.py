@@ -21,11 +21,11 @@ from magiclens.plan.blame import blaming
 from magiclens.plan.registry import ANALYSIS, NAMED_ART, SCENARIO, STAGE, Plugin, Registry
 from magiclens.scenarios.base import Scenario, Shot
 
-S = TypeVar("S", bound=Stage)
+_StageT = TypeVar("_StageT", bound=Stage)
 
 
 @dataclass(frozen=True)
-class Step(Generic[S]):
+class Step(Generic[_StageT]):
     """One step of a plan.
 
     Attributes:
@@ -33,7 +33,7 @@ class Step(Generic[S]):
         plugin: The plugin that contributes the stage.
     """
 
-    stage: S
+    stage: _StageT
     plugin: Plugin
 
     @property
@@ -205,6 +205,7 @@ class _Compiler:
         spec = check_spec(self._document, self._checker, self._fabrication)
         scenario, scenario_plugin = self._scenario()
         suited = self._suited(scenario, scenario_plugin)
+        # the machine's wishes go below the scenario's, since a picture that shows nothing need not be made
         if self._fabrication and spec:
             suited = self._fabrication.suited(suited, spec.lens.wall)
         steps = self._steps(suited)
@@ -260,6 +261,7 @@ class _Compiler:
 
     def _step(self, kind: str, choice: Choice, at: Keys) -> Step[Any] | None:
         found = self._pick(at, choice, STAGE, kind)
+        # what the spec writes is laid over what the machine needs
         usual = self._options_of_machine(found[0]) if found and kind == Exporter.kind else {}
         stage = self._options(found, {**usual, **choice}, at, "option") if found else None
         return Step(stage, found[1]) if found and stage else None

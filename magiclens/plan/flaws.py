@@ -1,6 +1,6 @@
 """Checks what a plugin contributes when it is loaded, so that a flaw is reported then and not in the middle of a run.
 
-A contribution is judged by what it has, not by what it inherits. Every function here returns what is wrong, in a
+A contribution is checked by what it has, not by what it inherits. Every function here returns what is wrong, in a
 sentence, or None.
 """
 
@@ -73,6 +73,7 @@ def _lacks(cls: type[Any], *methods: str) -> str | None:
 
 def _arguments_flaw(cls: type[Any], method: str) -> str | None:
     """What is wrong if a stage's method does not take the arguments that runs call it with, in their order."""
+    # by position: a plugin may call its parameters what it likes
     given = list(inspect.signature(getattr(KINDS[cls.kind], method)).parameters)
     try:
         inspect.signature(getattr(cls, method)).bind(*given)

@@ -123,6 +123,7 @@ class Registry:
         """
         registry = cls()
         installed = entry_points(group=hookspecs.ENTRY_POINT_GROUP)
+        # sorted, so that nothing depends on the order in which packages were installed
         points = sorted(installed if found is None else found, key=lambda p: (p.name, p.value))
         plugins = [_provider(point) for point in points]
         names = re.split(r"[,\s]+", os.environ.get(_DISABLED_VARIABLE, "")) if disabled is None else disabled
@@ -205,6 +206,7 @@ class Registry:
             What the observers raised, a message each.
         """
         complaints = []
+        # one by one, as pluggy would stop at the first observer that fails
         for implementation in getattr(self._manager.hook, hook).get_hookimpls():
             try:
                 plugin = self._plugins[implementation.plugin_name]
@@ -219,6 +221,7 @@ class Registry:
         if found is None:
             raise KeyError(name)
         with blaming(f"art {name} ({found[1]})"):
+            # checked here, since a wrong picture would fail in some stage, far from the plugin that drew it
             picture = np.asarray(found[0](size_px), np.float32)
             if picture.shape not in [(size_px, size_px, 1), (size_px, size_px, 3)] or not np.isfinite(picture).all():
                 raise ValueError(f"it drew {picture.shape} pixels instead of ({size_px}, {size_px}, 1 or 3), or NaN")
@@ -260,7 +263,7 @@ class Registry:
             yield
         except (KeyboardInterrupt, Terminated):
             raise
-        except BaseException:
+        except BaseException:  # a plugin may call sys.exit() when it is imported
             self._fail(plugin, where + _last_lines())
 
     def _add_stages(self, classes: Iterable[Any], plugin: Plugin) -> None:

@@ -6,8 +6,8 @@
         stage = Mine()
 
 The tests check what runs rely on: equal seeds give equal artifacts, inputs are not changed, and artifacts have the
-shapes and units that ``magiclens.contract.stages`` promises. A subclass may set ``scenes`` to other scenes than the usual
-two, and tolerances to other numbers than the usual ones.
+shapes and units that ``magiclens.contract.stages`` promises. A subclass may set ``scenes`` to other scenes than the
+usual two, and tolerances to other numbers than the usual ones.
 """
 
 from magiclens.testing.annealer import AnnealerContract

@@ -35,6 +35,7 @@ class EncoderContract(StageContract):
         small = {view.source_name: resize(view.source, (_SOURCE_PX, _SOURCE_PX)) for view in scene.views}
         views = tuple(replace(view, source=small[view.source_name]) for view in scene.views)
         reserved = np.zeros((_SOURCE_PX, _SOURCE_PX), np.bool_)
+        # a part only, so that there is something left to paint
         reserved[: _SOURCE_PX // 3] = True
         given = replace(scene, views=views, reserved=reserved)
         return given, _transports(given)

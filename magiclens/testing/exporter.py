@@ -68,6 +68,7 @@ class ExporterContract(StageContract):
         if self.stage.suffix not in _MESH_SUFFIXES:
             return None
         mesh = trimesh.load_mesh(path, process=False)
+        # STL repeats the vertices of every triangle, and glTF those with several normals
         mesh.merge_vertices(merge_tex=True, merge_norm=True)
         return np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces)
 
@@ -91,7 +92,7 @@ class ExporterContract(StageContract):
         solid: Solid = outcome.inputs[1]
         (low, high), (found_low, found_high) = ((v.min(axis=0), v.max(axis=0)) for v in (solid.vertices, mesh[0]))
         off = max(np.abs(low - found_low).max(), np.abs(high - found_high).max()) / np.ptp(solid.vertices)
-        assert off <= self.size_tolerance, f"its mesh reaches from {found_low} to {found_high}, not from {low} to {high}"
+        assert off <= self.size_tolerance, f"its mesh reaches from {found_low} to {found_high}, not {low} to {high}"
         wanted, found = volume_mm3(solid.vertices, solid.faces), volume_mm3(*mesh)
         change = abs(found / wanted - 1)
         assert change <= self.volume_tolerance, f"its volume is {found:.6g} mm^3 instead of {wanted:.6g}"

@@ -50,6 +50,7 @@ class IntegratorContract(StageContract):
         """What the stage makes of its own surface when it refines it."""
         inputs, progress = (scene, outcome.artifact), list[float]()
         before = digest(inputs)
+        # the second call below starts from other states of the global generators
         random.seed(0)
         np.random.seed(0)  # noqa: NPY002
         artifact = cls.stage.refine(*inputs, progress.append)
@@ -124,6 +125,8 @@ def _seen_mm(scene: Scene, built: HeightField) -> FloatArray:
 
     n, size = scene.lens.facets, scene.lens.source_size_mm
     (picture, *_) = Tracer(resolution=16 * n, samples=2).render(ramps(scene), solid_from_heights(built))
+    # the middle of each facet's 16 x 16 pixels, away from walls
     blocks = picture.reshape(n, 16, n, 16, 3)[:, 6:10, :, 6:10].astype(np.float64).mean(axis=(1, 3))
+    # blue is 1 everywhere in the source, so it is the light that passes the lens
     seen: FloatArray = (blocks[..., :2] / np.maximum(blocks[..., 2:], 1e-6) - 0.5) * size
     return seen

@@ -46,6 +46,7 @@ class RendererContract(StageContract):
         from magiclens.rendering.tracer import Tracer
 
         side = len(outcome.artifact[0])
+        # the tracer's resolution is at least 16; a coarser picture is compared with the tracer's, resized
         traced = Tracer(resolution=max(side, 16), samples=3).render(*outcome.inputs)
         for view, mine, other in zip(scene.views, outcome.artifact, traced, strict=True):
             agreement = score(mine, resize(np.clip(other, 0, 1), (side, side))).psnr_db

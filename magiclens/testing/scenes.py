@@ -59,7 +59,7 @@ def some_candidates(scene: Scene) -> Candidates:
     maps = np.zeros((n, n, _CANDIDATES, 3))
     maps[..., [0, 2]] = rng.uniform(0.3, 0.9, (n, n, _CANDIDATES, 2)) * rng.choice([-1, 1], (n, n, _CANDIDATES, 2))
     errors = np.sort(rng.uniform(0, 0.02, (n, n, _CANDIDATES)), axis=-1)
-    errors[-1, -1, 1:] = np.inf
+    errors[-1, -1, 1:] = np.inf  # a list that is not full, as matchers return them near the border
     return Candidates(offsets.astype(np.float32), maps.astype(np.float32), errors.astype(np.float32))
 
 

@@ -109,6 +109,7 @@ class StageContract:
 
     def test_equal_seeds_give_equal_artifacts(self, outcome: Outcome, monkeypatch: pytest.MonkeyPatch) -> None:
         """This holds whatever state the global generators of Python and numpy are in, and on another day."""
+        # another state than in the first call, so that a stage that uses the global generators gives something else
         random.seed(SEED)
         np.random.seed(SEED)  # noqa: NPY002
         _set_clock_to_tomorrow(monkeypatch)
@@ -143,13 +144,14 @@ def digest(thing: Any) -> str:
 
 def _feed(update: Callable[[bytes], None], thing: Any) -> None:
     if isinstance(thing, np.ndarray):
+        # equal bytes of another type or shape are another array
         update(f"{thing.dtype} {thing.shape}".encode())
         update(np.ascontiguousarray(thing).tobytes())
     elif is_dataclass(thing):
         _feed(update, [getattr(thing, f.name) for f in fields(thing)])
     elif isinstance(thing, Mapping):
         _feed(update, [*thing.keys(), *thing.values()])
-    elif hasattr(thing, "indptr"):
+    elif hasattr(thing, "indptr"):  # a sparse matrix of scipy, which is not imported for this
         _feed(update, [thing.data, thing.indices, thing.indptr])
     elif isinstance(thing, list | tuple):
         update(f"{len(thing)} of".encode())

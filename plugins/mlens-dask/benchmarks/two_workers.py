@@ -1,6 +1,6 @@
-"""How much sooner two workers of one thread are done with a matching-bound sweep than one; and that bytes are equal.
+"""Measures how much faster two workers are than one, in a sweep that mostly matches, and compares the files.
 
-Run it on an idle machine with two cores or more. Exit code 1: less than the bar, or different bytes.
+Run it on an idle machine with two cores or more. Exit code 1: the gain is below the bar, or some bytes differ.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from typing import Any
 
 from mlens_dask.executor import Dask
 
-BAR = 1.7
-SPEC = """\
+_LEAST_GAIN = 1.7
+_SPEC = """\
 scenario:
   type: rotating
   source: {type: circles, seed: 7, size: 60mm}
@@ -36,16 +36,16 @@ def main() -> int:
     runs = options.parse_args().runs
     with tempfile.TemporaryDirectory() as scratch:
         work = Path(scratch)
-        (work / "sweep.yaml").write_text(SPEC, encoding="utf-8")
+        (work / "sweep.yaml").write_text(_SPEC, encoding="utf-8")
         _swept(work, "warm", 1, 1)
         seconds = {workers: _swept(work, f"by-{workers}", workers, runs) for workers in (1, 2)}
         same = _contents(work / "by-1") == _contents(work / "by-2")
         share = _share_of_matching(work / "by-1")
     ratio = seconds[1] / seconds[2]
-    print(f"{runs} lenses: 1 worker {seconds[1]:.1f} s, 2 workers {seconds[2]:.1f} s, {ratio:.2f} times as quick")
+    print(f"{runs} lenses: 1 worker {seconds[1]:.1f} s, 2 workers {seconds[2]:.1f} s, {ratio:.2f} times as fast")
     print(f"matching takes {100 * share:.0f} % of the runs; load of the machine {os.getloadavg()[0]:.1f}")
     print(f"equal bytes: {'yes' if same else 'no'}")
-    return 0 if same and ratio >= BAR else 1
+    return 0 if same and ratio >= _LEAST_GAIN else 1
 
 
 def _swept(work: Path, name: str, workers: int, runs: int) -> float:
@@ -70,7 +70,7 @@ def _contents(out: Path) -> list[object]:
 
 
 def _share_of_matching(out: Path) -> float:
-    """Of the seconds of all runs."""
+    """Share of the seconds of all runs that were spent in matching."""
     manifests = _manifests(out)
     matching = sum(stage["seconds"] for m in manifests for stage in m["stages"] if stage["kind"] == "matcher")
     return float(matching / sum(m["seconds"] for m in manifests))

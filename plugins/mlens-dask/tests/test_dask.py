@@ -40,7 +40,7 @@ def spec(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def scheduler() -> Iterator[str]:
-    """The address of a scheduler with one worker, which somebody else has started."""
+    """The address of a scheduler with one worker, which another program has started."""
     with LocalCluster(n_workers=1, threads_per_worker=2, dashboard_address="127.0.0.1:0") as cluster:
         yield cluster.scheduler_address
 
@@ -70,9 +70,9 @@ def contents(out: Path) -> dict[str, bytes]:
 
 
 def untimed(manifest: bytes) -> bytes:
-    facts = json.loads(manifest)
-    stages = [{**stage, "seconds": 0} for stage in facts["stages"]]
-    return json.dumps({**facts, "stages": stages, "seconds": 0}).encode()
+    data = json.loads(manifest)
+    stages = [{**stage, "seconds": 0} for stage in data["stages"]]
+    return json.dumps({**data, "stages": stages, "seconds": 0}).encode()
 
 
 def square(number: int) -> int:

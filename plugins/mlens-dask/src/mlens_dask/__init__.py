@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 @hookimpl
 def mlens_executors() -> Sequence[type[Executor]]:
-    """The executor."""
+    """Contribute the executor."""
     from mlens_dask.executor import Dask
 
     return [Dask]
@@ -21,7 +21,7 @@ def mlens_executors() -> Sequence[type[Executor]]:
 
 @hookimpl
 def mlens_stages() -> Sequence[type[Stage]]:
-    """The matcher."""
+    """Contribute the matcher."""
     from mlens_dask.matcher import Blocks
 
     return [Blocks]

@@ -1,4 +1,4 @@
-"""The executor: tasks go to the workers of a Dask cluster; what a worker that dies has left is done by others."""
+"""The executor that sends tasks to the workers of a Dask cluster; if a worker dies, others do its tasks."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from magiclens import Executor, InputError, StageError
 if TYPE_CHECKING:
     from distributed import Client
 
-Item = TypeVar("Item")
-Result = TypeVar("Result")
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
 
-PATIENCE = "10s"
-"""How long a scheduler may take to answer."""
+_TIMEOUT = "10s"
+"""Longest time that a scheduler may take to answer."""
 
-_ONE_AT_A_TIME = threading.Lock()
-"""In each process of a worker: drawing and compiled code are not made for several tasks in one process."""
+_one_at_a_time = threading.Lock()
+"""Lock of the one task that a worker's process may work on: compiled code and matplotlib are not made for several."""
 
 
 class Dask(Executor):
-    """Tasks on the workers of a scheduler that is running, or on worker processes started for them alone."""
+    """Works on tasks with the workers of a running scheduler, or with worker processes that are started for them."""
 
     type: ClassVar[str] = "dask"
 
@@ -36,14 +36,14 @@ class Dask(Executor):
     workers: int = Field(2, ge=1, le=256, description="worker processes to start if there is no address")
     threads: int = Field(1, ge=1, le=256, description="threads of compiled code in each process that is started")
 
-    def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result | Exception]:
-        """Dask hands what a dead worker had, and results that it alone kept, to others."""
+    def map(self, function: Callable[[_Item], _Result], items: Iterable[_Item]) -> Iterator[_Result | Exception]:
+        """See ``magiclens.Executor``. Dask gives the tasks of a worker that dies, and its results, to others."""
         with self.client() as client:
             yield from mapped(client, function, items)
 
     @contextmanager
     def client(self) -> Iterator[Client]:
-        """A connection to the cluster; a cluster that was started for it ends with it."""
+        """A connection to the cluster; a cluster that was started for it ends with it. InputError if none answers."""
         from distributed import Client
 
         if self.address is None:
@@ -51,7 +51,7 @@ class Dask(Executor):
                 yield client
             return
         try:
-            client = Client(self.address, timeout=PATIENCE)
+            client = Client(self.address, timeout=_TIMEOUT)
         except (OSError, ValueError) as error:
             raise InputError(f"no scheduler answers at {self.address!r}: {error}", "address") from None
         with client:
@@ -61,8 +61,8 @@ class Dask(Executor):
     def _cluster(self) -> Iterator[Any]:
         """Worker processes on this machine.
 
-        Compiled code can keep a worker from answering for long, which is no sign of death; and memory is left to
-        the operating system, as for any other program.
+        A worker that runs compiled code may not answer for minutes, so silence does not count as death. Dask's limit of
+        memory is off: it would kill workers that the operating system can still serve.
         """
         import dask
         from distributed import LocalCluster
@@ -82,16 +82,26 @@ class Dask(Executor):
 
 
 def mapped(
-    client: Client, function: Callable[[Item], Result], items: Iterable[Item]
-) -> Iterator[Result | Exception]:
-    """See ``Dask.map``.
+    client: Client, function: Callable[[_Item], _Result], items: Iterable[_Item]
+) -> Iterator[_Result | Exception]:
+    """Call a function with every item on the workers of a cluster.
 
-    Whoever waits on a worker is under suspicion when it dies, so an item that was given up is tried again, alone.
+    Dask gives an item up after it was on several workers that died, even if another item has killed them. So an item
+    that was given up is tried once more when all others are done.
+
+    Args:
+        client: The connection to the cluster.
+        function: What to call.
+        items: What to call it with.
+
+    Returns:
+        The results in the order of the items, as ``magiclens.Executor.map`` has them.
     """
     from distributed import KilledWorker, wait
 
     listed = list(items)
     shared = client.submit(_itself, function, pure=False)
+    # not pure: Dask would work on equal items once
     futures = client.map(_apply, listed, function=shared, pure=False)
     for item, future in zip(listed, futures, strict=True):
         found = _settled(future)
@@ -108,11 +118,11 @@ def _settled(future: Any) -> Any:
         return error
 
 
-def _itself(function: Callable[[Item], Result]) -> Callable[[Item], Result]:
-    """Brings a function to the workers once, however many items there are."""
+def _itself(function: Callable[[_Item], _Result]) -> Callable[[_Item], _Result]:
+    """The function itself: as the result of a task, it is sent to each worker once and not with every item."""
     return function
 
 
-def _apply(item: Item, function: Callable[[Item], Result]) -> Result:
-    with _ONE_AT_A_TIME:
+def _apply(item: _Item, function: Callable[[_Item], _Result]) -> _Result:
+    with _one_at_a_time:
         return function(item)

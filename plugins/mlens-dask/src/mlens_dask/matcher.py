@@ -1,4 +1,4 @@
-"""The exact matcher, its facets spread over a cluster in blocks of rows."""
+"""The exhaustive matcher with its facets spread over a cluster, in blocks of rows."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mlens_dask.executor import Dask, mapped
 
 
 class Blocks(Exhaustive):
-    """What ``exhaustive`` finds, byte by byte; its options, and where to look for it."""
+    """Finds what ``exhaustive`` finds, byte by byte, on the workers of a cluster."""
 
     type: ClassVar[str] = "dask"
 
@@ -22,10 +22,14 @@ class Blocks(Exhaustive):
     blocks: int | None = Field(None, ge=1, le=1024, description="blocks of rows of facets; as many as workers")
 
     def match(self, scene: Scene, rng: np.random.Generator, progress: Progress = silent) -> Candidates:
-        """Match blocks of rows on the workers; on a worker, in a sweep's task, all rows there.
+        """Match blocks of rows on the workers.
 
-        Raises InputError when some facet reaches no patch at all, or no scheduler answers.
+        In a task of a sweep, which is on a worker already, all rows are matched there.
+
+        Raises:
+            InputError: Some facet reaches no patch at all, or no scheduler answers.
         """
+        # a worker that waits for other workers would keep its own task's turn
         if _on_a_worker():
             return super().match(scene, rng, progress)
         with self.cluster.client() as client:
@@ -37,7 +41,7 @@ class Blocks(Exhaustive):
         return _joined(found)
 
     def _rows(self, facets: int, workers: int) -> list[tuple[int, int]]:
-        """First row and row after the last of each block; all blocks are about as high."""
+        """The first row and the row after the last of each block; all blocks have about the same number of rows."""
         edges = np.linspace(0, facets, min(self.blocks or max(workers, 1), facets) + 1).round().astype(int).tolist()
         return list(pairwise(edges))
 
@@ -57,7 +61,7 @@ def _match(options: Blocks, scene: Scene, rows: tuple[int, int]) -> Candidates:
 
 
 def _joined(blocks: list[Candidates]) -> Candidates:
-    """Blocks of rows one below the other."""
+    """The candidates of all blocks, which are given from top to bottom."""
     return Candidates(
         np.concatenate([block.offsets_mm for block in blocks]),
         np.concatenate([block.maps for block in blocks]),
