@@ -55,7 +55,7 @@ def mlens_executors() -> Sequence[type[Executor]]:  # type: ignore[empty-body]
 
 @hookspec
 def mlens_analyses() -> Sequence[Any]:  # type: ignore[empty-body]
-    """Analyses this plugin contributes (see magiclens.Analysis), in the order of their figures in the report."""
+    """Contribute analyses (see ``magiclens.Analysis``), in the order of their figures in the report."""
 
 
 @hookspec

@@ -245,7 +245,7 @@ class _Compiler:
         return {**single, **several}
 
     def _check_analyses(self, spec: Spec | None) -> None:
-        """Every analysis that a spec names exists; those that do not apply to the lens are left out of the plan."""
+        """Note names of analyses that no plugin contributes."""
         for i, name in enumerate((spec and spec.report.analyses) or []):
             if self._registry.find(ANALYSIS, name) is None:
                 self._checker.add(("report", "analyses", i), self._unknown(name, ANALYSIS))
