@@ -3,16 +3,46 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from playwright.sync_api import Browser
 
+from browsers import chromium
+from magiclens.cli.doctor import examine
 from magiclens.plan.registry import Registry
 from toys import SPEC, TOYS, SpecWriter, registry_of
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 """Tests run side by side: kernels whose threads wait busily for each other would take the others' cores."""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Whatever asks a browser belongs to the tools tier."""
+    for item in items:
+        if "browser" in getattr(item, "fixturenames", ()):
+            item.add_marker("tools")
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    """One line on what plain ``pytest`` leaves out."""
+    if "not tools" not in config.getoption("markexpr"):
+        return
+    missing = [finding.name for finding in examine(Registry.load()) if finding.status != "ok" and not finding.needed]
+    lack = f"this machine lacks {', '.join(missing)}: see 'mlens doctor'" if missing else "this machine has them all"
+    terminalreporter.write_line(
+        f"Left out: 'pytest -m tools' asks other programs ({lack}); 'pytest -m sweep' runs every spec at full size."
+    )
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    """A real one."""
+    with chromium() as opened:
+        yield opened
 
 
 @pytest.fixture

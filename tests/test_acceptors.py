@@ -31,6 +31,7 @@ def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("magiclens.rendering.transports.LEAST_RESOLUTION", 64)
 
 
+@pytest.mark.tools
 @pytest.mark.parametrize("spec", SPECS, ids=[path.stem for path in SPECS])
 def test_slicers_and_mesh_checkers_take_the_lens_as_it_is(spec: Path, tmp_path: Path) -> None:
     folder = run_spec(spec, tmp_path / "out", [*FEW, *MORE.get(spec.stem, ()), "report.analyses=[]"]).folder
@@ -40,6 +41,7 @@ def test_slicers_and_mesh_checkers_take_the_lens_as_it_is(spec: Path, tmp_path: 
     np.testing.assert_allclose([float(opened[f"size_{axis}"]) for axis in "xyz"], sides, atol=1e-3)
 
 
+@pytest.mark.tools
 def test_the_acceptors_do_see_what_is_wrong(tmp_path: Path) -> None:
     ball = trimesh.creation.icosphere(2)
     turned, open_one = ball.copy(), ball.copy()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from PIL import Image
 from playwright.sync_api import Browser, Page
 from typer.testing import CliRunner
 
-from browsers import chromium, listen, served
+from browsers import listen, served
 from magiclens.cli import app
 from magiclens.contract.errors import InputError
 from magiclens.contract.stages import KINDS
@@ -304,12 +304,6 @@ def test_broken_links_are_found(tmp_path: Path) -> None:
 def test_pages_are_light(site: Path) -> None:
     assert heavy_pages(site) == {}
     assert page_bytes(site, "lenses/worm.html") > 100_000
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with chromium() as opened:
-        yield opened
 
 
 @pytest.mark.parametrize("scheme", ["file", "http"])

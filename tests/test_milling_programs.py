@@ -52,6 +52,7 @@ def canonical(path: Path) -> tuple[FloatArray, FloatArray]:
     return points[moved], rapid[moved]
 
 
+@pytest.mark.tools
 @pytest.mark.parametrize("shape", [BALL, FLAT, V, POINTED], ids=["ball", "flat", "v", "pointed"])
 @pytest.mark.parametrize("axis", ["x", "y"])
 def test_linuxcnc_accepts_a_program_and_moves_as_it_is_meant(shape: dict[str, Any], axis: Any, tmp_path: Path) -> None:
@@ -63,6 +64,7 @@ def test_linuxcnc_accepts_a_program_and_moves_as_it_is_meant(shape: dict[str, An
     np.testing.assert_array_equal(rapid, program.moves.rapid)
 
 
+@pytest.mark.tools
 def test_linuxcnc_refuses_a_broken_program(tmp_path: Path) -> None:
     path = written(Gcode(**COARSE), tmp_path, flat())
     path.write_text(path.read_text().replace(" F1200", "").replace(" F300", ""))

@@ -7,7 +7,6 @@ red / blue and green / blue still tell which source point it sees.
 from __future__ import annotations
 
 import importlib
-import os
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from pydantic import ValidationError
 
 from magiclens.contract.artifacts import FloatArray, Lens, Scene, Solid, View
 from magiclens.contract.errors import StageError
-from magiclens.rendering.mitsuba import SMALLEST_GAP_MM, Mitsuba
+from magiclens.rendering.mitsuba import SMALLEST_GAP_MM, Mitsuba, working_llvm
 
 SIZE, SOURCE, THICK, DISTANCE, IOR = 100.0, 300.0, 40.0, 400.0, 1.49
 ABOVE = (0.0, 0.0, THICK + DISTANCE)
@@ -282,11 +281,9 @@ class TestLlvm:
         assert self.module._prepare("scalar_rgb") == "scalar_rgb"
 
 
+@pytest.mark.tools
 def test_llvm_shows_what_scalar_shows() -> None:
-    module = importlib.import_module("magiclens.rendering.mitsuba")
-    if module.working_llvm() is None:
-        assert "CI" not in os.environ, "CI must have an LLVM that Mitsuba works with"
-        pytest.skip("no LLVM that Mitsuba works with")
+    assert working_llvm(), "no LLVM that Mitsuba works with: apt install libllvm19"
     scalar, llvm = (picture(prism(0.2), ramps(), variant=v) for v in ("scalar_rgb", "auto"))
     assert np.abs(llvm - scalar)[2:-2, 2:-2].max() < 0.1
     assert llvm.mean() == pytest.approx(scalar.mean(), rel=0.01)

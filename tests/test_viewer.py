@@ -21,7 +21,7 @@ from playwright.sync_api import Browser, CDPSession, Page
 from scipy.ndimage import gaussian_filter
 from typer.testing import CliRunner
 
-from browsers import chromium, listen
+from browsers import listen
 from magiclens.cli import app
 from magiclens.contract.artifacts import FloatArray, Lens, View
 from magiclens.images import read_image, to_display, to_linear
@@ -75,12 +75,6 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         done = CliRunner().invoke(app, ["view", str(folder), "--no-open"])
         assert done.exit_code == 0, done.output
     return made
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with chromium() as opened:
-        yield opened
 
 
 @pytest.fixture
