@@ -11,7 +11,7 @@ from magiclens.contract.artifacts import Assignment, Candidates, Scene
 from magiclens.contract.checks import check_assignment
 from magiclens.contract.stages import Annealer, Progress
 from magiclens.testing.scenes import some_candidates
-from magiclens.testing.stage import SEED, Outcome, StageContract, digest
+from magiclens.testing.stage import SEED, StageCall, StageContract, digest
 
 _SLACK = 1e-9
 """Relative rise of the energy that is put down to rounding."""
@@ -35,14 +35,14 @@ class AnnealerContract(StageContract):
         """See StageContract."""
         check_assignment(inputs[0].lens, inputs[1], artifact)
 
-    def test_the_energy_is_never_worse(self, outcome: Outcome) -> None:
+    def test_the_energy_is_never_worse(self, outcome: StageCall) -> None:
         """The metrics hold the energy of the best candidates and that of the chosen ones."""
         metrics = outcome.artifact.metrics
         assert {"energy_before", "energy_after"} <= set(metrics), "metrics needs energy_before and energy_after"
         before, after = metrics["energy_before"], metrics["energy_after"]
         assert after <= before + _SLACK * abs(before), f"the energy rose from {before:g} to {after:g}"
 
-    def test_what_is_assigned_is_what_was_chosen(self, outcome: Outcome) -> None:
+    def test_what_is_assigned_is_what_was_chosen(self, outcome: StageCall) -> None:
         """Offsets, maps and errors are copied from the candidates, as ``Assignment.pick`` does."""
         picked = Assignment.pick(outcome.inputs[1], outcome.artifact.choice, dict(outcome.artifact.metrics))
         assert digest(picked) == digest(outcome.artifact), "the assignment is not Assignment.pick(candidates, choice)"

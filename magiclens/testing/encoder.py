@@ -13,7 +13,7 @@ from magiclens.contract.checks import check_encoded
 from magiclens.contract.stages import Encoder, Progress
 from magiclens.images import resize, score
 from magiclens.testing.scenes import bumpy_solid
-from magiclens.testing.stage import Outcome, StageContract
+from magiclens.testing.stage import StageCall, StageContract
 
 _SOURCE_PX, _PICTURE_PX = 120, 64
 """Sides of the source and of the picture, small so that the test is quick."""
@@ -49,12 +49,12 @@ class EncoderContract(StageContract):
         """See StageContract."""
         check_encoded(inputs[0], artifact)
 
-    def test_the_lens_shows_its_targets_no_worse(self, outcome: Outcome) -> None:
+    def test_the_lens_shows_its_targets_no_worse(self, outcome: StageCall) -> None:
         """This is the mean PSNR of all views, each after one exposure."""
         before, after = (_shown_db(scene, outcome.inputs[1]) for scene in (outcome.inputs[0], outcome.artifact))
         assert after >= before - _SLACK_DB, f"the targets were shown at {before:.2f} dB, and now at {after:.2f} dB"
 
-    def test_reserved_pixels_stay_as_they_are(self, outcome: Outcome) -> None:
+    def test_reserved_pixels_stay_as_they_are(self, outcome: StageCall) -> None:
         """They are equal bit by bit."""
         for old, new in zip(outcome.inputs[0].views, outcome.artifact.views, strict=True):
             same = new.source[outcome.inputs[0].reserved] == old.source[outcome.inputs[0].reserved]

@@ -14,7 +14,7 @@ from magiclens.contract.checks import BadArtifact, check_file
 from magiclens.contract.stages import Exporter, Progress
 from magiclens.testing.meshes import assert_closed, volume_mm3
 from magiclens.testing.scenes import bumpy_solid
-from magiclens.testing.stage import Outcome, StageContract
+from magiclens.testing.stage import StageCall, StageContract
 
 Mesh = tuple[FloatArray, IntArray]
 """Vertices (V, 3), mm, lens frame, and faces (F, 3)."""
@@ -74,7 +74,7 @@ class ExporterContract(StageContract):
 
     @pytest.fixture(scope="class")
     @classmethod
-    def mesh(cls, outcome: Outcome) -> Mesh | None:
+    def mesh(cls, outcome: StageCall) -> Mesh | None:
         """The mesh that is read from the file."""
         contract = cls()
         with TemporaryDirectory() as folder:
@@ -85,7 +85,7 @@ class ExporterContract(StageContract):
         if mesh:
             assert_closed(*mesh)
 
-    def test_a_mesh_in_the_file_is_as_large_as_the_solid(self, mesh: Mesh | None, outcome: Outcome) -> None:
+    def test_a_mesh_in_the_file_is_as_large_as_the_solid(self, mesh: Mesh | None, outcome: StageCall) -> None:
         """Box and volume are the same, so units, axes and signs are right."""
         if mesh is None:
             return

@@ -12,7 +12,7 @@ from magiclens.contract.stages import Finisher, Progress
 from magiclens.images import score
 from magiclens.testing.meshes import assert_closed, volume_mm3
 from magiclens.testing.scenes import bumpy_solid
-from magiclens.testing.stage import Outcome, StageContract
+from magiclens.testing.stage import StageCall, StageContract
 
 
 class FinisherContract(StageContract):
@@ -40,17 +40,17 @@ class FinisherContract(StageContract):
         """See StageContract."""
         check_solid(artifact)
 
-    def test_the_solid_is_closed(self, outcome: Outcome) -> None:
+    def test_the_solid_is_closed(self, outcome: StageCall) -> None:
         """Every edge belongs to two faces that run along it in opposite ways; normals point outward."""
         assert_closed(outcome.artifact.vertices, outcome.artifact.faces)
 
-    def test_it_is_as_large_as_before(self, outcome: Outcome) -> None:
+    def test_it_is_as_large_as_before(self, outcome: StageCall) -> None:
         """Its volume is about the same."""
         before, after = (volume_mm3(solid.vertices, solid.faces) for solid in (outcome.inputs[1], outcome.artifact))
         change = abs(after / before - 1)
         assert change <= self.volume_tolerance, f"the volume went from {before:.6g} to {after:.6g} mm^3"
 
-    def test_it_shows_the_same(self, scene: Scene, outcome: Outcome) -> None:
+    def test_it_shows_the_same(self, scene: Scene, outcome: StageCall) -> None:
         """This is checked if the solid still has the grid that the built-in tracer needs."""
         from magiclens.rendering.tracer import Tracer
 

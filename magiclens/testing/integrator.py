@@ -14,7 +14,7 @@ from magiclens.contract.stages import Integrator, Progress
 from magiclens.geometry.solid import solid_from_heights
 from magiclens.integration.measures import slopes_deg
 from magiclens.testing.scenes import an_assignment, ramps
-from magiclens.testing.stage import SEED, Outcome, StageContract, assert_progress, digest
+from magiclens.testing.stage import SEED, StageCall, StageContract, assert_progress, digest
 
 _SLACK_MM, _SLACK_DEG = 1e-6, 2.0
 """Excess over the limits of height and slope that is accepted."""
@@ -46,7 +46,7 @@ class IntegratorContract(StageContract):
 
     @pytest.fixture(scope="class")
     @classmethod
-    def refined(cls, scene: Scene, outcome: Outcome) -> Outcome:
+    def refined(cls, scene: Scene, outcome: StageCall) -> StageCall:
         """What the stage makes of its own surface when it refines it."""
         inputs, progress = (scene, outcome.artifact), list[float]()
         before = digest(inputs)
@@ -54,17 +54,17 @@ class IntegratorContract(StageContract):
         random.seed(0)
         np.random.seed(0)  # noqa: NPY002
         artifact = cls.stage.refine(*inputs, progress.append)
-        return Outcome(inputs, artifact, before, digest(inputs), progress)
+        return StageCall(inputs, artifact, before, digest(inputs), progress)
 
-    def test_the_surface_stays_within_its_relief(self, scene: Scene, outcome: Outcome) -> None:
+    def test_the_surface_stays_within_its_relief(self, scene: Scene, outcome: StageCall) -> None:
         """No vertex is farther from the reference plane than the lens allows."""
         _assert_within_relief(scene, outcome.artifact)
 
-    def test_no_micro_facet_is_steeper_than_the_limit(self, scene: Scene, outcome: Outcome) -> None:
+    def test_no_micro_facet_is_steeper_than_the_limit(self, scene: Scene, outcome: StageCall) -> None:
         """The slope is the angle between its normal and +z."""
         _assert_not_steep(scene, outcome.artifact)
 
-    def test_facets_show_their_patches(self, scene: Scene, outcome: Outcome) -> None:
+    def test_facets_show_their_patches(self, scene: Scene, outcome: StageCall) -> None:
         """The lens is traced, so signs, axes and units are right."""
         centres = scene.lens.facet_centres_mm() + outcome.inputs[1].offsets_mm
         missed = np.linalg.norm(_seen_mm(scene, outcome.artifact) - centres, axis=-1)
@@ -74,7 +74,7 @@ class IntegratorContract(StageContract):
             f"{self.offset_tolerance_mm:g} mm is allowed"
         )
 
-    def test_refining_keeps_the_limits(self, scene: Scene, refined: Outcome) -> None:
+    def test_refining_keeps_the_limits(self, scene: Scene, refined: StageCall) -> None:
         """The refined height field is valid and keeps the limits of height and slope."""
         try:
             self.check(refined.inputs, refined.artifact)
@@ -83,18 +83,18 @@ class IntegratorContract(StageContract):
         _assert_within_relief(scene, refined.artifact)
         _assert_not_steep(scene, refined.artifact)
 
-    def test_refining_changes_no_input(self, refined: Outcome) -> None:
+    def test_refining_changes_no_input(self, refined: StageCall) -> None:
         """Scene and height field are read-only."""
         assert refined.after == refined.before, "refine has changed its inputs; work on copies"
 
-    def test_refining_twice_gives_the_same(self, refined: Outcome) -> None:
+    def test_refining_twice_gives_the_same(self, refined: StageCall) -> None:
         """Refining uses no random numbers."""
         random.seed(SEED)
         np.random.seed(SEED)  # noqa: NPY002
         again = self.stage.refine(*refined.inputs)
         assert digest(again) == digest(refined.artifact), "the same inputs were refined to two different surfaces"
 
-    def test_refining_tells_its_progress_in_fractions_that_grow(self, refined: Outcome) -> None:
+    def test_refining_tells_its_progress_in_fractions_that_grow(self, refined: StageCall) -> None:
         """They go from 0 to 1; a stage need not report any."""
         assert_progress(refined)
 

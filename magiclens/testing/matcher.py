@@ -11,7 +11,7 @@ from magiclens.contract.checks import check_candidates
 from magiclens.contract.stages import Matcher, Progress
 from magiclens.geometry.facets import central_slopes
 from magiclens.testing.scenes import flat_heights
-from magiclens.testing.stage import Outcome, StageContract, digest
+from magiclens.testing.stage import StageCall, StageContract, digest
 
 _SLACK_MM, _SLACK_DEG = 1e-3, 1.0
 """Excess over the source's border and over the slope limit that is accepted."""
@@ -35,33 +35,33 @@ class MatcherContract(StageContract):
         """See StageContract."""
         check_candidates(inputs[0].lens, artifact)
 
-    def test_the_best_candidate_comes_first(self, outcome: Outcome) -> None:
+    def test_the_best_candidate_comes_first(self, outcome: StageCall) -> None:
         """Errors ascend in each facet's list."""
         errors = np.where(np.isfinite(outcome.artifact.errors), outcome.artifact.errors, np.finfo(np.float32).max)
         assert (np.diff(errors, axis=-1) >= 0).all(), "errors are not sorted: best first, inf last"
 
-    def test_patches_lie_on_the_source(self, scene: Scene, outcome: Outcome) -> None:
+    def test_patches_lie_on_the_source(self, scene: Scene, outcome: StageCall) -> None:
         """Offsets are millimetres from the facet's centre, with +y up."""
         seen = scene.lens.facet_centres_mm()[:, :, None] + outcome.artifact.offsets_mm
         far = np.abs(seen[np.isfinite(outcome.artifact.errors)]).max()
         half = scene.lens.source_size_mm / 2
         assert far <= half + _SLACK_MM, f"a patch is centred {far:.3g} mm from the middle of a source of +-{half:g} mm"
 
-    def test_no_candidate_needs_a_slope_beyond_the_limit(self, scene: Scene, outcome: Outcome) -> None:
+    def test_no_candidate_needs_a_slope_beyond_the_limit(self, scene: Scene, outcome: StageCall) -> None:
         """Candidates that refraction cannot reach are left out."""
         slopes = central_slopes(scene, outcome.artifact.offsets_mm)[np.isfinite(outcome.artifact.errors)]
         steepest = np.degrees(np.arctan(np.linalg.norm(slopes, axis=-1).max()))
         limit = scene.lens.max_slope_deg
         assert steepest <= limit + _SLACK_DEG, f"a candidate needs a slope of {steepest:.1f} deg, above {limit:g}"
 
-    def test_best_candidates_show_the_target_better_than_a_flat_lens(self, scene: Scene, outcome: Outcome) -> None:
+    def test_best_candidates_show_the_target_better_than_a_flat_lens(self, scene: Scene, outcome: StageCall) -> None:
         """Offsets and maps mean what ``Candidates`` says; checked of matchers that use pictures."""
         if not self.stage.uses_pictures:
             return
         best, plain = _bound_db(scene, outcome.artifact), _bound_db(scene, _straight_below(scene))
         assert best > plain, f"the best candidates show the target at {best:.1f} dB, no lens at all at {plain:.1f} dB"
 
-    def test_candidates_are_as_good_as_their_errors_say(self, scene: Scene, outcome: Outcome) -> None:
+    def test_candidates_are_as_good_as_their_errors_say(self, scene: Scene, outcome: StageCall) -> None:
         """Errors are mean squared differences of display values; checked of matchers that use pictures."""
         if not self.stage.uses_pictures:
             return
@@ -71,7 +71,7 @@ class MatcherContract(StageContract):
             f"by their errors, the best candidates show the target at {claimed:.1f} dB, but they do at {found:.1f} dB"
         )
 
-    def test_rematching_gives_valid_candidates_and_changes_no_input(self, scene: Scene, outcome: Outcome) -> None:
+    def test_rematching_gives_valid_candidates_and_changes_no_input(self, scene: Scene, outcome: StageCall) -> None:
         """The matcher gets candidates, a lens and traced errors, as in a round of (4.6)."""
         candidates: Candidates = outcome.artifact
         first = Assignment.pick(candidates, candidates.errors.argmin(axis=-1))

@@ -11,7 +11,7 @@ from magiclens.contract.checks import check_pictures
 from magiclens.contract.stages import Progress, Renderer
 from magiclens.images import resize, score
 from magiclens.testing.scenes import bumpy_solid
-from magiclens.testing.stage import Outcome, StageContract
+from magiclens.testing.stage import StageCall, StageContract
 
 
 class RendererContract(StageContract):
@@ -37,11 +37,11 @@ class RendererContract(StageContract):
         """See StageContract."""
         check_pictures(inputs[0], artifact)
 
-    def test_light_is_never_negative(self, outcome: Outcome) -> None:
+    def test_light_is_never_negative(self, outcome: StageCall) -> None:
         """Pixels are linear light."""
         assert min(picture.min() for picture in outcome.artifact) >= 0, "a picture has negative light"
 
-    def test_it_agrees_with_the_built_in_tracer(self, scene: Scene, outcome: Outcome) -> None:
+    def test_it_agrees_with_the_built_in_tracer(self, scene: Scene, outcome: StageCall) -> None:
         """Pictures are in the world frame: row 0 is at +y, and what is seen turns with the lens."""
         from magiclens.rendering.tracer import Tracer
 

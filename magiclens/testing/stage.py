@@ -26,8 +26,8 @@ _DAY_S = 86_400.0
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """What a stage made of its inputs.
+class StageCall:
+    """One call of a stage, made for all tests of a contract.
 
     Attributes:
         inputs: What the stage was called with, without the generator and the progress callback.
@@ -82,13 +82,13 @@ class StageContract:
 
     @pytest.fixture(scope="class")
     @classmethod
-    def outcome(cls, scene: Scene) -> Outcome:
+    def outcome(cls, scene: Scene) -> StageCall:
         """What the stage makes of the scene; the stage is called once for all tests."""
         contract, progress = cls(), list[float]()
         inputs = contract.inputs(scene)
         before = digest(inputs)
         artifact = contract.call(inputs, np.random.default_rng(SEED), progress.append)
-        return Outcome(inputs, artifact, before, digest(inputs), progress)
+        return StageCall(inputs, artifact, before, digest(inputs), progress)
 
     def test_its_class_is_accepted(self) -> None:
         """The registry accepts it: ``kind``, ``type``, ``version`` and the methods exist."""
@@ -100,14 +100,14 @@ class StageContract:
         written = json.loads(json.dumps(self.stage.model_dump(mode="json", context={"inputs": None})))
         assert type(self.stage).model_validate(written) == self.stage, f"read again, {written} is another stage"
 
-    def test_its_artifact_is_valid(self, outcome: Outcome) -> None:
+    def test_its_artifact_is_valid(self, outcome: StageCall) -> None:
         """Its type, its shapes and its numbers are those that the contract promises."""
         try:
             self.check(outcome.inputs, outcome.artifact)
         except BadArtifact as error:
             pytest.fail(f"the artifact breaks the contract: {error}")
 
-    def test_equal_seeds_give_equal_artifacts(self, outcome: Outcome, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_equal_seeds_give_equal_artifacts(self, outcome: StageCall, monkeypatch: pytest.MonkeyPatch) -> None:
         """This holds whatever state the global generators of Python and numpy are in, and on another day."""
         # another state than in the first call, so that a stage that uses the global generators gives something else
         random.seed(SEED)
@@ -118,16 +118,16 @@ class StageContract:
             "the same inputs and the same rng gave two different artifacts; draw from rng alone, write no dates"
         )
 
-    def test_inputs_stay_as_they_are(self, outcome: Outcome) -> None:
+    def test_inputs_stay_as_they_are(self, outcome: StageCall) -> None:
         """The next stage gets the same inputs."""
         assert outcome.after == outcome.before, "the stage has changed its inputs; work on copies"
 
-    def test_progress_is_told_in_fractions_that_grow(self, outcome: Outcome) -> None:
+    def test_progress_is_told_in_fractions_that_grow(self, outcome: StageCall) -> None:
         """They go from 0 to 1, for the progress bar; a stage need not report any."""
         assert_progress(outcome)
 
 
-def assert_progress(outcome: Outcome) -> None:
+def assert_progress(outcome: StageCall) -> None:
     """Fail unless the fractions that were reported are from 0 to 1 and do not descend."""
     reported = np.array([0.0, *outcome.progress, 1.0])
     assert (np.diff(reported) >= 0).all(), (
