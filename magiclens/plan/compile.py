@@ -205,7 +205,7 @@ class _Compiler:
         spec = check_spec(self._document, self._checker, self._fabrication)
         scenario, scenario_plugin = self._scenario()
         suited = self._suited(scenario, scenario_plugin)
-        # the machine's wishes go below the scenario's, since a picture that shows nothing need not be made
+        # where both choose a stage, the scenario's choice wins: without it the lens shows nothing
         if self._fabrication and spec:
             suited = self._fabrication.suited(suited, spec.lens.wall)
         steps = self._steps(suited)
