@@ -79,7 +79,7 @@ def test_run_writes_the_folder_and_ends_with_a_summary(mlens: Any, write_spec: S
     assert (tmp_path / "out" / "manifest.json").exists()
     assert "psnr_db" in result.stdout
     assert "rotation-090" in result.stdout
-    assert f"{tmp_path / 'out'}: lens.toy, report.html, spec.yaml, manifest.json" in result.stdout
+    assert f"{tmp_path / 'out'}: heights.npz, lens.toy, report.html, spec.yaml, manifest.json" in result.stdout
     assert "matcher toy" in result.stderr
 
 
