@@ -21,10 +21,10 @@ from magiclens.contract.stages import KINDS
 from magiclens.images.art import ART
 from magiclens.images.files import write_png
 from magiclens.plan.registry import STAGE, Registry
-from magiclens.web.gallery.docs import Library, doc_page, doc_paths, inline, slug
-from magiclens.web.gallery.drawings import DRAWINGS, PX_PER_MM, _one_facet, _seen_by
-from magiclens.web.gallery.listed import load_gallery
-from magiclens.web.gallery.options import model_tables, takes
+from magiclens.web.gallery.docs import Library, anchor_of, doc_page, doc_paths, inline_markup
+from magiclens.web.gallery.drawings import DRAWINGS, PX_PER_MM, example_facet, seen_through
+from magiclens.web.gallery.gallery_list import load_gallery
+from magiclens.web.gallery.options import model_tables, value_kind
 from magiclens.web.gallery.pictures import Album
 
 ROOT = Path(__file__).parent.parent
@@ -100,7 +100,7 @@ def test_links_between_pages_lead_somewhere(page: Path) -> None:
         assert found.exists(), target
         if anchor:
             headings = re.findall(r"^#+ (.+)$", found.read_text(encoding="utf-8"), re.MULTILINE)
-            assert anchor in {slug(heading.replace("`", "")) for heading in headings}, f"{target}#{anchor}"
+            assert anchor in {anchor_of(heading.replace("`", "")) for heading in headings}, f"{target}#{anchor}"
     entries = {entry.name for entry in load_gallery(ROOT / "gallery" / "gallery.yaml").entries}
     assert set(re.findall(r"\]\(drawing:([\w-]+)", text)) <= set(DRAWINGS)
     assert set(re.findall(r"\]\(run:([\w-]+)/", text)) <= entries
@@ -189,9 +189,9 @@ def test_drawings_say_what_is_in_them_to_those_who_do_not_see_them(name: str) ->
 
 def test_the_drawn_facet_shows_its_corner_once_it_is_refined() -> None:
     """And its micro-facets look at ink or paper as they shall."""
-    scene, shapes = _one_facet()
+    scene, shapes = example_facet()
     wanted = scene.views[0].target[..., 0] < 0.5
-    (before, even), (after, bent) = (_seen_by(scene, shape) for shape in shapes)
+    (before, even), (after, bent) = (seen_through(scene, shape) for shape in shapes)
     column, row = np.moveaxis((np.stack([even, bent]) * (1, -1) + 10) * PX_PER_MM, -1, 0).astype(int)
     astray = (scene.views[0].source[row, column, 0] < 0.5) != wanted[1::3, 1::3]
     for was, left in (((before != wanted).mean(), (after != wanted).mean()), astray.mean(axis=(1, 2))):
@@ -200,11 +200,11 @@ def test_the_drawn_facet_shows_its_corner_once_it_is_refined() -> None:
 
 
 def test_descriptions_are_escaped_but_for_code() -> None:
-    assert inline("`a<b` and <i>") == "<code>a&lt;b</code> and &lt;i&gt;"
+    assert inline_markup("`a<b` and <i>") == "<code>a&lt;b</code> and &lt;i&gt;"
 
 
 def test_anchors_are_as_on_hosts_of_markdown() -> None:
-    assert slug("What a facet can do (4.2)") == "what-a-facet-can-do-42"
+    assert anchor_of("What a facet can do (4.2)") == "what-a-facet-can-do-42"
 
 
 def test_options_are_told_in_words_with_units_and_limits() -> None:
@@ -212,7 +212,7 @@ def test_options_are_told_in_words_with_units_and_limits() -> None:
     assert rows["`size`"] == ("`size`", "length", "`100mm`", "side of the square lens")
     assert rows["`facets`"][1] == "whole number, ≥ 1, ≤ 1024"
     assert rows["`cells`"][1] == "`eye` or `vertical`"
-    assert takes({"type": "array", "items": {"type": "number"}}) == "list of number"
+    assert value_kind({"type": "array", "items": {"type": "number"}}) == "list of number"
 
 
 def test_every_option_of_every_stage_has_a_description() -> None:

@@ -23,7 +23,7 @@ from magiclens.contract.errors import InputError
 from magiclens.contract.stages import KINDS
 from magiclens.plan.registry import NAMED_ART, SCENARIO, STAGE, Plugin, Registry
 from magiclens.profiles.machines import machines
-from magiclens.web.gallery.listed import load_gallery
+from magiclens.web.gallery.gallery_list import load_gallery
 from toys import SPEC, ToyMatcher, plugin_of
 
 ROOT = Path(__file__).parent.parent
@@ -337,7 +337,7 @@ def test_the_keyboard_alone_lays_and_turns_the_lens_and_leads_to_its_page(site: 
     tab.goto((site / "index.html").as_uri())
     said = [_pressed_until(tab, "[data-turn]", "Enter"), _pressed(tab, "Enter")]
     assert said == ["lens at 0°.", "lens at 90°."]
-    shown = tab.locator("[data-slab] img:visible")
+    shown = tab.locator("[data-lens] img:visible")
     assert "rotation-090" in str(shown.get_attribute("alt"))
     _pressed_until(tab, ".card", "Enter")
     tab.wait_for_url("**/lenses/rotating.html")

@@ -25,7 +25,7 @@ from magiclens.preflight import making, optics
 from magiclens.preflight.exported import Exported, read_exported
 from magiclens.preflight.finding import Finding, first_of, graded, worst
 from magiclens.preflight.inspect import Preflight, _as_made, inspect
-from magiclens.preflight.page import INK, lens_map, table, write_preflight
+from magiclens.preflight.page import STATUS_COLOURS, lens_map, preflight_text, write_preflight
 from magiclens.preflight.sight import facets_of, look, slopes_deg
 from magiclens.profiles.machines import machines
 from magiclens.running.pipeline import Run, run_spec
@@ -348,7 +348,7 @@ def test_the_map_frames_the_facets_at_fault() -> None:
     fine = Finding("loss", "green", "", ((3, 0),))
     picture = lens_map(Preflight("x", "", [bad, fine], np.zeros((4, 4))))
     assert picture is not None
-    red = (picture == INK["red"]).all(axis=-1)
+    red = (picture == STATUS_COLOURS["red"]).all(axis=-1)
     assert red[:160, -160:].any()
     red[:160, -160:] = False
     assert not red.any()
@@ -367,7 +367,7 @@ def test_the_page_is_whole_and_escapes_names(tmp_path: Path) -> None:
     first = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
     write_preflight(found, tmp_path)
     assert first == {p.name: p.read_bytes() for p in tmp_path.iterdir()}
-    assert table(found).splitlines() == [
+    assert preflight_text(found).splitlines() == [
         "amber  slopes             1 < 2", "", "amber: Can be made; look at what is amber first.",
     ]  # fmt: skip
 

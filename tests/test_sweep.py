@@ -20,9 +20,10 @@ from magiclens.contract.errors import InputError
 from magiclens.contract.executors import Processes, Serial
 from magiclens.contract.stages import Progress, silent
 from magiclens.plan.registry import Registry
-from magiclens.sweep.combine import Combination, alternatives, combinations
-from magiclens.sweep.page import SIDE, pictures
-from magiclens.sweep.sweeping import Sweep, sweep_spec
+from magiclens.sweep.combine import Combination, combinations, split_values
+from magiclens.sweep.page import PICTURE_SIDE, combination_pictures
+from magiclens.sweep.results import Sweep
+from magiclens.sweep.sweeping import sweep_spec
 from toys import TOYS, SpecWriter, ToyIntegrator, no_timings, registry_of
 
 Sweeper = Callable[..., Sweep]
@@ -88,7 +89,7 @@ def times_of_runs(done: Sweep) -> dict[str, int]:
     ],
 )
 def test_commas_part_values_unless_they_are_within_one(text: str, values: list[str]) -> None:
-    assert alternatives(text) == values
+    assert split_values(text) == values
 
 
 def test_all_combinations_are_made_the_last_key_changing_fastest() -> None:
@@ -305,9 +306,9 @@ def test_the_contact_sheet_has_the_values_of_the_last_key_in_columns(sweep: Swee
 
 
 def test_pictures_show_what_the_lens_shows(sweep: Sweeper) -> None:
-    shown, nothing = pictures(sweep("pipeline.renderers=[{type: tracer}],[]"))
+    shown, nothing = combination_pictures(sweep("pipeline.renderers=[{type: tracer}],[]"))
     assert nothing.std() == 0
-    first_view, no_view = shown[: SIDE // 2, : SIDE // 2], shown[SIDE // 2 :]
+    first_view, no_view = shown[: PICTURE_SIDE // 2, : PICTURE_SIDE // 2], shown[PICTURE_SIDE // 2 :]
     assert first_view.std() > 20
     assert no_view.std() == 0
 

@@ -30,11 +30,11 @@ from magiclens.images.score import psnr_db
 from magiclens.rendering.tracer import picture, trace
 from magiclens.running.open_run import OpenRun, open_run
 from magiclens.running.pipeline import run_spec
-from magiclens.web.viewer import MOST_BYTES, fragment, page
-from magiclens.web.viewer.facts import LANDING_MM, _finest_mm, _kept
-from magiclens.web.viewer.packing import pack, polynomials, unpack
-from magiclens.web.viewer.page import _for_script
-from magiclens.web.viewer.pictures import fitting
+from magiclens.web.viewer import MOST_BYTES, viewer_fragment, viewer_page
+from magiclens.web.viewer.packing import orthonormal_polynomials, pack_heights, unpack_heights
+from magiclens.web.viewer.page import json_for_script
+from magiclens.web.viewer.pictures import picture_uri_within
+from magiclens.web.viewer.viewer_data import LANDING_MM, finest_step_mm, keep_views
 
 SPECS = Path(__file__).parent.parent / "specs"
 PIXELS, SAMPLES = 128, 2
@@ -146,22 +146,22 @@ def smooth_heights(facets: int, lines: int) -> FloatArray:
 
 def test_packed_heights_are_right_to_a_tenth_of_a_micrometre() -> None:
     heights = smooth_heights(6, 9) + 0.05 * np.random.default_rng(1).normal(size=(6, 6, 9, 9))
-    np.testing.assert_allclose(unpack(pack(heights, 2e-5, 100_000), 6, 9), heights, atol=1e-4)
+    np.testing.assert_allclose(unpack_heights(pack_heights(heights, 2e-5, 100_000), 6, 9), heights, atol=1e-4)
 
 
 def test_smooth_facets_take_a_few_bytes_each() -> None:
-    assert len(pack(smooth_heights(16, 23), 1e-4, 100_000).content) < 20 * 16**2
+    assert len(pack_heights(smooth_heights(16, 23), 1e-4, 100_000).content) < 20 * 16**2
 
 
 def test_rough_heights_are_packed_more_coarsely_when_there_is_little_room() -> None:
     heights = np.random.default_rng(0).normal(size=(8, 8, 5, 5))
-    packed = pack(heights, 1e-5, 3000)
+    packed = pack_heights(heights, 1e-5, 3000)
     assert 2500 < len(packed.content) <= 3000
-    assert unpack(packed, 8, 5) == pytest.approx(heights, abs=0.3)
+    assert unpack_heights(packed, 8, 5) == pytest.approx(heights, abs=0.3)
 
 
 def test_polynomials_are_orthonormal_to_the_highest_degree() -> None:
-    basis = polynomials(61)
+    basis = orthonormal_polynomials(61)
     np.testing.assert_allclose(basis @ basis.T, np.eye(61), atol=1e-12)
     assert (basis[:, -1] > 0).all()
 
@@ -171,7 +171,7 @@ def test_micro_facets_that_turn_one_by_one_still_send_light_where_it_belongs(gap
     lens = Lens(facets=8, microfacets=22, size_mm=25.0, gap_mm=gap)
     slopes = 0.05 * np.random.default_rng(0).normal(size=(8, 8, 23, 23))
     heights = smooth_heights(8, 23) + np.cumsum(slopes, axis=3) * lens.pitch_mm / 22
-    error = unpack(pack(heights, _finest_mm(lens), 10**6), 8, 23) - heights
+    error = unpack_heights(pack_heights(heights, finest_step_mm(lens), 10**6), 8, 23) - heights
     way = (lens.ior - 1) * (lens.thickness_mm / lens.ior + gap)
     for axis in (2, 3):
         landing = np.diff(error, axis=axis) / (lens.pitch_mm / 22) * way
@@ -182,17 +182,17 @@ def test_micro_facets_that_turn_one_by_one_still_send_light_where_it_belongs(gap
 def test_a_picture_fits_into_the_bytes_that_it_is_given(tmp_path: Path, most: int) -> None:
     noise = np.random.default_rng(0).random((128, 128, 3)).astype(np.float32)
     write_png(tmp_path / "noise.png", noise)
-    assert len(fitting(tmp_path / "noise.png", most)) <= most * 4 / 3 + 40
+    assert len(picture_uri_within(tmp_path / "noise.png", most)) <= most * 4 / 3 + 40
 
 
 def test_photographs_are_kept_well_or_at_least_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     photograph = gaussian_filter(np.random.default_rng(0).random((128, 128, 3)), (1, 1, 0)).astype(np.float32)
     write_png(tmp_path / "a.png", photograph)
-    content = fitting(tmp_path / "a.png", 15_000)
+    content = picture_uri_within(tmp_path / "a.png", 15_000)
     assert content.startswith("data:image/avif;")
     assert psnr_db(shown(content), to_display(photograph)) > 35
     monkeypatch.delitem(Image.SAVE, "AVIF")
-    content = fitting(tmp_path / "a.png", 15_000)
+    content = picture_uri_within(tmp_path / "a.png", 15_000)
     assert content.startswith("data:image/webp;")
     assert psnr_db(shown(content), to_display(photograph)) > 25
 
@@ -206,20 +206,20 @@ def shown(uri: str) -> FloatArray:
 def test_of_many_frames_some_are_kept_evenly(folders: dict[str, Path]) -> None:
     view = open_run(folders["rotating"]).scene.views[0]
     film = tuple(replace(view, name=f"frame-{k}", source_name=f"frame-{k}") for k in range(40))
-    assert [view.name for view in _kept(film, 4)] == ["frame-0", "frame-10", "frame-20", "frame-30"]
-    assert len(_kept(film, 99)) == 40
+    assert [view.name for view in keep_views(film, 4)] == ["frame-0", "frame-10", "frame-20", "frame-30"]
+    assert len(keep_views(film, 99)) == 40
 
 
 def test_nothing_in_the_page_can_be_taken_for_markup(folders: dict[str, Path]) -> None:
-    text = page(folders["rotating"], '</title><script>alert("hi")</script>')
+    text = viewer_page(folders["rotating"], '</title><script>alert("hi")</script>')
     assert "<script>alert" not in text
-    assert json.loads(_for_script({"</script>": "<!--"})) == {"</script>": "<!--"}
-    assert "<" not in _for_script({"</script>": "<!--"})
+    assert json.loads(json_for_script({"</script>": "<!--"})) == {"</script>": "<!--"}
+    assert "<" not in json_for_script({"</script>": "<!--"})
 
 
 def test_a_fragment_is_one_section_of_bounded_size_that_names_no_other_place(folders: dict[str, Path]) -> None:
     for folder in folders.values():
-        text = fragment(folder)
+        text = viewer_fragment(folder)
         assert text.startswith("<section")
         assert text.rstrip().endswith("</section>")
         assert len(text.encode()) <= MOST_BYTES
@@ -272,7 +272,7 @@ def test_out_of_its_place_the_lens_shows_what_the_tracer_sees(visit: Any, folder
 def shown_in_place(tab: Page) -> FloatArray:
     """A screenshot of where the lens belongs: display values."""
     tab.evaluate("magiclens.settled()")
-    content = tab.screenshot(clip=tab.evaluate("magiclens.place()"))
+    content = tab.screenshot(clip=tab.evaluate("magiclens.square()"))
     return np.asarray(Image.open(BytesIO(content)).convert("RGB"), np.float32) / 255
 
 
@@ -288,7 +288,7 @@ def looks_like(tab: Page, folder: Path) -> float:
 
 def drag(tab: Page, steps: int = 6) -> None:
     """Take the lens by its middle and let go of it nearly where it belongs."""
-    place, pose = tab.evaluate("magiclens.place()"), tab.evaluate("magiclens.pose()")
+    place, pose = tab.evaluate("magiclens.square()"), tab.evaluate("magiclens.pose()")
     per_mm, x, y = place["width"] / 40, place["x"] + place["width"] / 2, place["y"] + place["height"] / 2
     tab.mouse.move(x + pose["x"] * per_mm, y - pose["y"] * per_mm)
     tab.mouse.down()
@@ -313,7 +313,7 @@ def touch(session: CDPSession, kind: str, *points: tuple[float, float]) -> None:
 def test_on_a_phone_a_finger_moves_the_lens_and_nothing_is_cut_off(visit: Any, folders: dict[str, Path]) -> None:
     tab = visit(width=375, height=812, has_touch=True, is_mobile=True)
     assert tab.evaluate("document.documentElement.scrollWidth") == 375
-    place, session = tab.evaluate("magiclens.place()"), tab.context.new_cdp_session(tab)
+    place, session = tab.evaluate("magiclens.square()"), tab.context.new_cdp_session(tab)
     pose, per_mm = tab.evaluate("magiclens.pose()"), place["width"] / 40
     x, y = place["x"] + place["width"] / 2, place["y"] + place["height"] / 2
     for k in range(7):
@@ -328,7 +328,7 @@ def test_on_a_phone_a_finger_moves_the_lens_and_nothing_is_cut_off(visit: Any, f
 def test_two_fingers_turn_and_lift(visit: Any) -> None:
     tab = visit(width=375, height=812, has_touch=True, is_mobile=True)
     tab.evaluate("magiclens.show(0)")
-    place, session = tab.evaluate("magiclens.place()"), tab.context.new_cdp_session(tab)
+    place, session = tab.evaluate("magiclens.square()"), tab.context.new_cdp_session(tab)
     x, y, far = place["x"] + place["width"] / 2, place["y"] + place["height"] / 2, place["width"] / 4
     touch(session, "touchStart", (x - far, y))
     touch(session, "touchStart", (x - far, y), (x + far, y))
@@ -426,9 +426,9 @@ def test_dark_rooms_have_a_dark_table(visit: Any) -> None:
 def test_frames_of_a_film_are_scrubbed_and_played(
     visit: Any, folders: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("magiclens.web.viewer.facts.MOST_CHOICES", 0)
+    monkeypatch.setattr("magiclens.web.viewer.viewer_data.MOST_CHOICES", 0)
     folders["film"] = tmp_path
-    (tmp_path / "view.html").write_text(page(folders["rotating"]), encoding="utf-8")
+    (tmp_path / "view.html").write_text(viewer_page(folders["rotating"]), encoding="utf-8")
     tab = visit("film")
     tab.get_by_role("slider", name="Frame").fill("1")
     assert tab.evaluate("magiclens.view()") == 1

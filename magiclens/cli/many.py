@@ -52,12 +52,12 @@ def sweep_command(
     """
     with reporting(traceback):
         from magiclens.sweep.sweeping import sweep_spec
-        from magiclens.sweep.table import as_text, facts
+        from magiclens.sweep.table import sweep_data, sweep_text
 
         end_on_sigterm()
         worker, registry = chosen_executor(executor, executor_settings)
         done = sweep_spec(spec, settings, out, worker, registry, print_no_note if quiet or as_json else print_note)
-        print_result(lambda: as_text(done), lambda: facts(done), quiet, as_json)
+        print_result(lambda: sweep_text(done), lambda: sweep_data(done), quiet, as_json)
         if done.failed:
             raise typer.Exit(1)
 

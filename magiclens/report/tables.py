@@ -1,4 +1,4 @@
-"""The run in words and numbers, as the page's tables show it."""
+"""The rows of a report's tables: what was run, in words and numbers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from magiclens.contract.artifacts import Scene
 from magiclens.contract.result import RunResult
 from magiclens.drawing.photographs import Photograph
 
-LABELS = {
+_METRIC_LABELS = {
     "matching_psnr_db": "Bound set by matching: if every facet showed its best candidate perfectly",
     "assigned_psnr_db": "Bound after annealing: if every facet showed its choice perfectly",
     "zone_centre_psnr_db": "From the middle eye",
@@ -57,12 +57,14 @@ LABELS = {
     "fabrication_loss_db": "PSNR lost by the machine's layers, blur and polish, simulated",
     "smoothing_mm": "Farthest move of a vertex by smoothing",
 }
-"""What metrics are, for people who did not write them; others go by their names."""
-CHECKS = {"watertight", "two_manifold", "consistently_oriented", "outward_normals"}
-UNITS = {"_mm3": (1e-3, " cm³"), "_mm": (1.0, " mm"), "_deg": (1.0, "°"), "_db": (1.0, " dB"), "_px": (1.0, " px")}
-"""By the end of a metric's name: factor and unit."""
-HEADLINES = {"step_mean_mm": "mean step", "slope_mean_deg": "mean slope", "volume_mm3": "volume"}
-CONTENTS = {
+"""Labels of metrics, in the order of the table; metrics that are not listed follow under their own names."""
+_CHECKS = {"watertight", "two_manifold", "consistently_oriented", "outward_normals"}
+"""Metrics that are 1 for yes and 0 for no."""
+_UNITS = {"_mm3": (1e-3, " cm³"), "_mm": (1.0, " mm"), "_deg": (1.0, "°"), "_db": (1.0, " dB"), "_px": (1.0, " px")}
+"""Factor and unit of a metric, by the end of its name; the longer of two ends comes first."""
+_HEADLINE_METRICS = {"step_mean_mm": "mean step", "slope_mean_deg": "mean slope", "volume_mm3": "volume"}
+"""Labels of the metrics at the top of the page."""
+_FILE_CONTENTS = {
     "lens.": "the lens, in millimetres",
     "sources/": "a source, to be printed true to scale",
     "targets/": "what the eye shall see",
@@ -78,116 +80,132 @@ CONTENTS = {
     "preflight.": "whether it is fit to be made",
     "report.html": "this page",
 }
-"""What is in a file of a run folder, by the beginning of its path."""
+"""What a file of a run folder holds, by the beginning of its path."""
 
 
-class Row(NamedTuple):
-    """A line of a table."""
+class TableRow(NamedTuple):
+    """A line of a table with two columns."""
 
     label: str
     value: str
 
 
-class Scores(NamedTuple):
-    """A view's line in the table of scores; PSNR and SSIM of each renderer."""
+class ScoreRow(NamedTuple):
+    """A line of the table of scores.
+
+    ``placement`` says where lens and eye are; ``numbers`` are PSNR and SSIM of each renderer in turn.
+    """
 
     view: str
-    place: str
+    placement: str
     numbers: Sequence[str]
 
 
-class File(NamedTuple):
-    """A file of the run folder."""
+class FileRow(NamedTuple):
+    """A line of the table of files."""
 
     path: str
     content: str
     size: str
 
 
-def headlines(data: RunResult, seen: Mapping[str, Sequence[Photograph]]) -> list[Row]:
-    """The few numbers that matter most."""
+def headline_rows(data: RunResult, photos: Mapping[str, Sequence[Photograph]]) -> list[TableRow]:
+    """The few numbers at the top of the page; ``photos`` are one for each view, by renderer."""
     rows = [
-        Row(f"PSNR ({name})", f"{_mean([p.score.psnr_db for p in photos]):.1f} dB") for name, photos in seen.items()
+        TableRow(f"PSNR ({name})", f"{_mean([photo.score.psnr_db for photo in of_views]):.1f} dB")
+        for name, of_views in photos.items()
     ]
-    metrics = data.manifest["metrics"]
-    return rows + [Row(label, measure(key, metrics[key], 3)) for key, label in HEADLINES.items() if key in metrics]
+    return rows + metric_headlines(data.manifest["metrics"], _HEADLINE_METRICS)
 
 
-def lens_rows(scene: Scene) -> list[Row]:
-    """What was decided before anything was designed."""
+def metric_headlines(metrics: Mapping[str, float | None], labels: Mapping[str, str]) -> list[TableRow]:
+    """Rows of the metrics that are there, to three digits; ``labels`` are the metrics wanted and their labels."""
+    return [TableRow(label, format_metric(key, metrics[key], 3)) for key, label in labels.items() if key in metrics]
+
+
+def lens_rows(scene: Scene) -> list[TableRow]:
+    """The measures of the lens that the spec sets."""
     lens = scene.lens
     return [
-        Row("Size", f"{lens.size_mm:g} x {lens.size_mm:g} mm"),
-        Row("Facets", f"{lens.facets} x {lens.facets}, {lens.pitch_mm:.4g} mm wide"),
-        Row("Micro-facets", f"{lens.microfacets} x {lens.microfacets} in each facet"),
-        Row("Thickness", f"{lens.thickness_mm:g} mm"),
-        Row("Air between source and lens", f"{lens.gap_mm:g} mm"),
-        Row("Index of refraction", f"{lens.ior:g}"),
-        Row("Facets are cut", "along eye rays" if lens.cells == "eye" else "vertically"),
-        Row("Source", f"{lens.source_size_mm:g} x {lens.source_size_mm:g} mm"),
+        TableRow("Size", f"{lens.size_mm:g} x {lens.size_mm:g} mm"),
+        TableRow("Facets", f"{lens.facets} x {lens.facets}, {lens.pitch_mm:.4g} mm wide"),
+        TableRow("Micro-facets", f"{lens.microfacets} x {lens.microfacets} in each facet"),
+        TableRow("Thickness", f"{lens.thickness_mm:g} mm"),
+        TableRow("Air between source and lens", f"{lens.gap_mm:g} mm"),
+        TableRow("Index of refraction", f"{lens.ior:g}"),
+        TableRow("Facets are cut", "along eye rays" if lens.cells == "eye" else "vertically"),
+        TableRow("Source", f"{lens.source_size_mm:g} x {lens.source_size_mm:g} mm"),
     ]
 
 
-def score_rows(scene: Scene, seen: Mapping[str, Sequence[Photograph]]) -> list[Scores]:
-    """One row per view, and their mean where there are several."""
+def score_rows(scene: Scene, photos: Mapping[str, Sequence[Photograph]]) -> list[ScoreRow]:
+    """One row for each view, and their mean if there are several; ``photos`` are one for each view, by renderer."""
     turned = any(view.quarter_turns for view in scene.views)
     columns = [
         column
-        for photos in seen.values()
-        for column in ([p.score.psnr_db for p in photos], [p.score.ssim for p in photos])
+        for of_views in photos.values()
+        for column in ([photo.score.psnr_db for photo in of_views], [photo.score.ssim for photo in of_views])
     ]
     rows = [
-        Scores(view.name, place(view, scene.lens, turned), _scores([column[k] for column in columns]))
+        ScoreRow(view.name, place(view, scene.lens, turned), _scores([column[k] for column in columns]))
         for k, view in enumerate(scene.views)
     ]
-    mean = Scores("mean", "", _scores([_mean(column) for column in columns]))
+    mean = ScoreRow("mean", "", _scores([_mean(column) for column in columns]))
     return [*rows, mean] if len(rows) > 1 else rows
 
 
-def metric_rows(metrics: Mapping[str, float | None]) -> list[Row]:
-    """Well-known metrics first, then those of plugins."""
-    known = [key for key in LABELS if key in metrics]
-    others = [key for key in metrics if key not in LABELS]
-    return [Row(LABELS.get(key) or _words(key), measure(key, metrics[key])) for key in [*known, *others]]
+def metric_rows(metrics: Mapping[str, float | None]) -> list[TableRow]:
+    """Metrics that have a label first, then those of plugins."""
+    known = [key for key in _METRIC_LABELS if key in metrics]
+    others = [key for key in metrics if key not in _METRIC_LABELS]
+    labels = {key: _METRIC_LABELS.get(key) or _words(key) for key in [*known, *others]}
+    return [TableRow(label, format_metric(key, metrics[key])) for key, label in labels.items()]
 
 
-def measure(key: str, value: float | None, digits: int = 4) -> str:
-    """A metric with its unit, to so many significant digits."""
+def format_metric(key: str, value: float | None, digits: int = 4) -> str:
+    """Write a metric with its unit.
+
+    Args:
+        key: Name of the metric; its end tells the unit.
+        value: The metric; None where it is no finite number.
+        digits: Significant digits.
+    """
     if value is None:
         return "not a number"
-    if key in CHECKS:
+    if key in _CHECKS:
         return "yes" if value else "no"
-    factor, unit = next((UNITS[end] for end in UNITS if key.endswith(end)), (1.0, ""))
+    factor, unit = next((_UNITS[end] for end in _UNITS if key.endswith(end)), (1.0, ""))
     return f"{factor * value:.{digits}g}{unit}"
 
 
-def option_rows(options: Mapping[str, Any]) -> list[Row]:
-    """A stage's options, as YAML would write them."""
-    return [Row(key, value if isinstance(value, str) else json.dumps(value)) for key, value in options.items()]
+def option_rows(options: Mapping[str, Any]) -> list[TableRow]:
+    """The options of a stage, as YAML writes them."""
+    return [TableRow(key, value if isinstance(value, str) else json.dumps(value)) for key, value in options.items()]
 
 
-def file_rows(folder: Path) -> list[File]:
-    """What the run folder holds, with the two files that are written after this."""
-    sizes = {p.relative_to(folder).as_posix(): _bytes(p.stat().st_size) for p in folder.rglob("*") if p.is_file()}
+def file_rows(folder: Path) -> list[FileRow]:
+    """Every file of a run folder, and the two that are written after the page is filled."""
+    sizes = {p.relative_to(folder).as_posix(): format_bytes(p.stat().st_size) for p in folder.rglob("*") if p.is_file()}
     sizes |= {"manifest.json": "", "report.html": ""}
-    return [File(name, _content(name), sizes[name]) for name in sorted(sizes)]
+    return [FileRow(name, _content(name), sizes[name]) for name in sorted(sizes)]
+
+
+def format_bytes(size: float) -> str:
+    """Write a number of bytes for people: three digits and a unit."""
+    for unit in ("bytes", "kB", "MB"):
+        if size < 1000:
+            return f"{size:.3g} {unit}"
+        size /= 1000
+    return f"{size:.3g} GB"
 
 
 def _content(name: str) -> str:
-    return next((text for start, text in CONTENTS.items() if name.startswith(start)), "")
-
-
-def _bytes(size: float) -> str:
-    units = ["bytes", "kB", "MB", "GB"]
-    while size >= 1000 and len(units) > 1:
-        size /= 1000
-        units.pop(0)
-    return f"{size:.3g} {units[0]}"
+    return next((text for start, text in _FILE_CONTENTS.items() if name.startswith(start)), "")
 
 
 def _words(key: str) -> str:
-    """A plugin's metric without the unit at its end."""
-    end = next((end for end in UNITS if key.endswith(end)), "")
+    """The name of a metric as words, without its unit."""
+    end = next((end for end in _UNITS if key.endswith(end)), "")
     return key.removesuffix(end).replace("_", " ").capitalize()
 
 

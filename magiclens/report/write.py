@@ -10,7 +10,7 @@ from magiclens.contract.result import RunResult
 from magiclens.drawing.figure import Figure
 from magiclens.drawing.photographs import photographs
 from magiclens.drawing.tiles import render_rows
-from magiclens.report.page import page
+from magiclens.report.page import report_page
 
 if TYPE_CHECKING:
     from PIL.PngImagePlugin import PngInfo
@@ -28,7 +28,7 @@ def write_report(result: RunResult, figures: Sequence[Figure], folder: Path) -> 
         (folder / "figures").mkdir(exist_ok=True)
         path = folder / "figures" / f"{figure.name}.png"
         render_rows(figure.rows).save(path, "PNG", compress_level=4, pnginfo=_words(figure))
-    (folder / "report.html").write_text(page(result, folder, figures, photographs(result)), encoding="utf-8")
+    (folder / "report.html").write_text(report_page(result, folder, figures, photographs(result)), encoding="utf-8")
 
 
 def _words(figure: Figure) -> PngInfo:

@@ -149,7 +149,7 @@ def check_run_folder(folder: str | Path, registry: Registry | None = None) -> tu
         InputError: The folder is no run folder, or has no mesh.
     """
     from magiclens.preflight.inspect import inspect
-    from magiclens.preflight.page import table, write_preflight
+    from magiclens.preflight.page import preflight_text, write_preflight
     from magiclens.simulation.as_made import rough_pictures, write_pictures
 
     path = Path(folder)
@@ -161,7 +161,7 @@ def check_run_folder(folder: str | Path, registry: Registry | None = None) -> tu
     found = inspect(path, json.loads((path / MANIFEST).read_text(encoding="utf-8")), plan)
     write_preflight(found, path)
     refresh_manifest(path)
-    return found, table(found)
+    return found, preflight_text(found)
 
 
 def _plan_of(path: Path, registry: Registry | None) -> Plan:

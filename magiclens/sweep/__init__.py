@@ -1,1 +1,1 @@
-"""Sweeps: one spec, run with every combination of some values, and a sheet to compare them."""
+"""Runs a spec with many combinations of values, and compares the lenses on one sheet."""

@@ -1,68 +1,73 @@
-"""The sheet on which a sweep's lenses stand side by side: a page, and a picture of the same."""
+"""The sheet that shows the lenses of a sweep side by side: an HTML page, and one picture."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.parse import quote
 
 import numpy as np
 
 from magiclens.drawing.scales import Pixels
 from magiclens.drawing.tiles import Tile, render_rows, to_pixels, wrap_tiles
-from magiclens.pages.base import embedded
-from magiclens.report.tables import measure
-from magiclens.sweep.table import scores, shown_by
+from magiclens.pages.templating import render_page
+from magiclens.report.tables import format_metric
+from magiclens.sweep.results import Sweep, SweepResult
+from magiclens.sweep.table import compared_renderer, mean_scores
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-    from magiclens.sweep.sweeping import Result, Sweep
+PICTURE_SIDE = 320
+"""Width and height of the picture of a combination, pixels."""
+_MOST_VIEWS = 9
+"""Most views in the picture of a combination; the first ones are shown."""
+_EMPTY_GREY = 232
+"""Display value where there is nothing to show."""
+_COLUMNS = {"psnr_db": "PSNR", "ssim": "SSIM", "step_mean_mm": "mean step", "step_max_mm": "highest step"}
+"""Headings of the table's columns, by metric."""
 
-SIDE = 320
-"""Pixels of a combination's picture."""
-MOST_VIEWS = 9
-"""Of a lens with more views, the first ones are shown."""
-GREY = 232
-COLUMNS = {"psnr_db": "PSNR", "ssim": "SSIM", "step_mean_mm": "mean step", "step_max_mm": "highest step"}
 
-
-def pictures(sweep: Sweep) -> list[Pixels]:
-    """(SIDE, SIDE, 3) for every combination: what its lens shows, views in rows; grey where there is nothing."""
+def combination_pictures(sweep: Sweep) -> list[Pixels]:
+    """A picture (PICTURE_SIDE, PICTURE_SIDE, 3) of each combination: its views in rows, grey where there is none."""
     return [_picture(sweep.folder / result.combination.folder, result.manifest) for result in sweep.results]
 
 
-def contact_sheet(sweep: Sweep, shown: Sequence[Pixels]) -> Image:
-    """Every combination's pictures with its scores; columns are the values of the last of several keys."""
-    both = zip(shown, sweep.results, strict=True)
-    tiles = [Tile(picture, result.combination.label, caption(result)) for picture, result in both]
+def sweep_image(sweep: Sweep, pictures: Sequence[Pixels]) -> Image:
+    """The sheet as one picture; if several keys have several values, each column has one value of the last key.
+
+    Args:
+        sweep: The finished sweep.
+        pictures: One (PICTURE_SIDE, PICTURE_SIDE, 3) for each of its results.
+    """
+    both = zip(pictures, sweep.results, strict=True)
+    tiles = [Tile(picture, result.combination.label, _caption(result)) for picture, result in both]
     columns = _columns(sweep)
     rows = [tiles[k : k + columns] for k in range(0, len(tiles), columns)] if columns else wrap_tiles(tiles)
     return render_rows(rows)
 
 
-def page(sweep: Sweep, shown: Sequence[Pixels]) -> str:
-    """The HTML page of a sweep: one file that needs nothing else. Everything that users wrote is escaped."""
-    from jinja2 import Environment, StrictUndefined
+def sweep_page(sweep: Sweep, pictures: Sequence[Pixels]) -> str:
+    """The sheet as an HTML page: one file that needs nothing else. Everything that users wrote is escaped.
 
-    source = (files("magiclens.sweep") / "templates" / "sweep.html").read_text(encoding="utf-8")
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    environment.filters |= {"embedded": embedded, "quoted": quote}
+    Args:
+        sweep: The finished sweep.
+        pictures: One (PICTURE_SIDE, PICTURE_SIDE, 3) for each of its results.
+    """
     best = _best(sweep.results)
-    return environment.from_string(source).render(
+    return render_page(
+        "magiclens.sweep/sweep.html",
         sweep=sweep,
         name=sweep.folder.name,
         columns=_columns(sweep),
-        headings=[*COLUMNS.values(), "seconds"],
+        headings=[*_COLUMNS.values(), "seconds"],
         rows=[(result, _numbers(result), result is best) for result in sweep.results],
-        pictures=[(result, picture, caption(result)) for result, picture in zip(sweep.results, shown, strict=True)],
+        pictures=[(result, picture, _caption(result)) for result, picture in zip(sweep.results, pictures, strict=True)],
     )
 
 
-def caption(result: Result) -> str:
+def _caption(result: SweepResult) -> str:
     """Scores, step and seconds, or why there are none."""
     if result.manifest is None:
         return result.outcome
@@ -70,18 +75,19 @@ def caption(result: Result) -> str:
     return ", ".join(f"{name} {number}".strip() for name, number in numbers if name is not None and number != "-")
 
 
-def _numbers(result: Result) -> list[str]:
-    """What stands below the headings."""
+def _numbers(result: SweepResult) -> list[str]:
+    """The cells below the headings."""
     if result.manifest is None:
-        return ["-"] * (len(COLUMNS) + 1)
-    known = {**result.manifest["metrics"], **scores(result.manifest)}
-    found = [measure(key, known[key], 3) if known.get(key) is not None else "-" for key in COLUMNS]
+        return ["-"] * (len(_COLUMNS) + 1)
+    known = {**result.manifest["metrics"], **mean_scores(result.manifest)}
+    found = [format_metric(key, known[key], 3) if known.get(key) is not None else "-" for key in _COLUMNS]
     return [*found, f"{result.manifest['seconds']:.1f} s"]
 
 
-def _best(results: Sequence[Result]) -> Result | None:
+def _best(results: Sequence[SweepResult]) -> SweepResult | None:
     """The result with the highest PSNR, if there are several with one."""
-    rated = [(scores(r.manifest)["psnr_db"], k) for k, r in enumerate(results) if r.manifest]
+    rated = [(mean_scores(r.manifest)["psnr_db"], k) for k, r in enumerate(results) if r.manifest]
+    # of equal ones the first wins
     known = [(psnr, -k) for psnr, k in rated if psnr is not None]
     return results[-max(known)[1]] if len(known) > 1 else None
 
@@ -93,22 +99,22 @@ def _columns(sweep: Sweep) -> int | None:
 
 
 def _picture(run: Path, manifest: Mapping[str, Any] | None) -> Pixels:
-    board = np.full((SIDE, SIDE, 3), GREY, np.uint8)
-    renderer = shown_by(manifest) if manifest else None
+    board = np.full((PICTURE_SIDE, PICTURE_SIDE, 3), _EMPTY_GREY, np.uint8)
+    renderer = compared_renderer(manifest) if manifest else None
     if manifest is None or renderer is None:
         return board
-    views = manifest["views"][:MOST_VIEWS]
+    views = manifest["views"][:_MOST_VIEWS]
     per_side = math.ceil(math.sqrt(len(views)))
-    side = SIDE // per_side
+    side = PICTURE_SIDE // per_side
     for k, view in enumerate(views):
-        top, left = (SIDE * place // per_side for place in divmod(k, per_side))
+        top, left = (PICTURE_SIDE * index // per_side for index in divmod(k, per_side))
         shown = _exposed(run / view["renders"][renderer], run / view["target"], side)
         board[top : top + side, left : left + side] = shown
     return board
 
 
 def _exposed(render: Path, target: Path, side: int) -> Pixels:
-    """(side, side, 3): a simulated photograph at the exposure at which it was scored."""
+    """A rendered picture (side, side, 3) at the exposure at which it was scored."""
     from magiclens.images.files import read_image
     from magiclens.images.score import score
 

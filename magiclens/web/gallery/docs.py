@@ -24,14 +24,15 @@ if TYPE_CHECKING:
     from markdown_it import MarkdownIt
     from markdown_it.token import Token
 
-FOLDER = "docs"
-"""Where the site keeps its documentation."""
-PICTURE_PX = 1100
+DOCS_FOLDER = "docs"
+"""Folder of the site for its documentation."""
+_PICTURE_WIDTH = 1100
+"""Greatest width of a picture in a document, pixels."""
 
 
 @dataclass(frozen=True)
 class Heading:
-    """A part of a page, and what a link to it ends in."""
+    """A heading and the anchor that links to it end with."""
 
     anchor: str
     text: str
@@ -49,7 +50,11 @@ class DocPage:
 
 @dataclass
 class Library:
-    """Everything that pages can refer to. pages: site paths of Markdown files; runs: folders by name of their lens."""
+    """Everything that documents can refer to.
+
+    ``pages`` are the paths in the site of Markdown files, ``runs`` the run folders by the name of their lens. ``files``
+    collects the files that were copied into the site.
+    """
 
     site: Path
     album: Album
@@ -59,37 +64,41 @@ class Library:
 
 
 def doc_paths(sources: Sequence[Path]) -> dict[Path, str]:
-    """Where Markdown files become pages: their folders stay as they are, from the one that all of them are in."""
+    """The paths in the site of Markdown files; folders stay as they are, below the folder that all files are in."""
     if not sources:
         return {}
-    paths = [normal(source) for source in sources]
+    paths = [normal_path(source) for source in sources]
     above = Path(os.path.commonpath([path.parent for path in paths]))
-    return {p: f"{FOLDER}/{p.relative_to(above).with_suffix('.html').as_posix()}" for p in paths}
+    return {p: f"{DOCS_FOLDER}/{p.relative_to(above).with_suffix('.html').as_posix()}" for p in paths}
 
 
 def doc_page(source: Path, library: Library) -> DocPage:
-    """Render a Markdown file. Raises InputError for references to what is not there, with file and line."""
-    return _Renderer(normal(source), library).page()
+    """Render a Markdown file.
+
+    Raises:
+        InputError: The file refers to something that is not there; names file and line.
+    """
+    return _Renderer(normal_path(source), library).page()
 
 
-def slug(text: str) -> str:
-    """What a heading's anchor is called: as on most hosts of Markdown files."""
+def anchor_of(text: str) -> str:
+    """The anchor of a heading, formed as on most hosts of Markdown files."""
     return re.sub(r"[^\w\- ]", "", text.lower()).strip().replace(" ", "-")
 
 
-def inline(text: str) -> Markup:
-    """A sentence of a docstring or a description: escaped, but for `code`, ``code`` and **strong** text."""
+def inline_markup(text: str) -> Markup:
+    """Escape a sentence of a docstring or a description, but for `code`, ``code`` and **strong** text."""
     rich = re.sub(r"(`{1,2})(.+?)\1", r"<code>\2</code>", str(escape(text)))
     return Markup(re.sub(r"\*\*(.+?)\*\*", r"<strong>\1</strong>", rich))
 
 
-def normal(path: Path) -> Path:
-    """Without ``..`` in it."""
+def normal_path(path: Path) -> Path:
+    """A path without ``..`` in it."""
     return Path(os.path.normpath(path))
 
 
 class _Renderer:
-    """One Markdown file on its way to a page."""
+    """Renders one Markdown file."""
 
     def __init__(self, source: Path, library: Library):
         self._source, self._library = source, library
@@ -98,14 +107,15 @@ class _Renderer:
         self._title = source.stem
 
     def page(self) -> DocPage:
-        """The page; its title is the first heading."""
+        """Render the page; its title is the first heading."""
         markdown = _markdown()
         tokens = markdown.parse(self._source.read_text(encoding="utf-8"))
-        self._walk(tokens)
+        self._change(tokens)
         body = markdown.renderer.render(tokens, markdown.options, {})
         return DocPage(self._path, self._title, Markup(body), self._headings)
 
-    def _walk(self, tokens: Sequence[Token]) -> None:
+    def _change(self, tokens: Sequence[Token]) -> None:
+        """Give headings anchors, colour code, and resolve links and pictures."""
         for k, token in enumerate(tokens):
             line = token.map[0] + 1 if token.map else 1
             if token.type == "heading_open":
@@ -120,20 +130,20 @@ class _Renderer:
 
     def _head(self, token: Token, text: str) -> None:
         plain = text.replace("`", "")
-        token.attrs["id"] = slug(plain)
+        token.attrs["id"] = anchor_of(plain)
         if token.tag == "h1":
             self._title = plain
         elif token.tag == "h2":
-            self._headings.append(Heading(slug(plain), plain))
+            self._headings.append(Heading(anchor_of(plain), plain))
 
     def _link(self, target: str, line: int) -> str:
-        """Where a link leads in the site: to a page, or to a copy of the file."""
+        """The address of a link in the site: a page, or a copy of the file."""
         if re.match(r"[a-z]+:|#|//", target):
             return target
         name, hash_, anchor = target.partition("#")
-        found = normal(self._source.parent / unquote(name))
+        found = normal_path(self._source.parent / unquote(name))
         page = self._library.pages.get(found)
-        if page is None and name.endswith(".html"):
+        if page is None and name.endswith(".html"):  # a page that is generated, such as the reference
             return target
         if page is None:
             page = self._copied(found, line)
@@ -142,7 +152,7 @@ class _Renderer:
     def _copied(self, found: Path, line: int) -> str:
         if not found.is_file():
             raise InputError(f"broken link: {missing_file(found)}", f"{self._source}:{line}")
-        path = f"{FOLDER}/files/{found.parent.name}-{found.name}"
+        path = f"{DOCS_FOLDER}/files/{found.parent.name}-{found.name}"
         (self._library.site / path).parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(found, self._library.site / path)
         self._library.files.add(path)
@@ -156,14 +166,14 @@ class _Renderer:
             if name not in DRAWINGS:
                 raise InputError(unknown("drawing", name, DRAWINGS), f"{self._source}:{line}")
             return _figure(DRAWINGS[name](token.content), caption)
-        found = self._of_run(name, line) if kind == "run" else normal(self._source.parent / unquote(target))
+        found = self._of_run(name, line) if kind == "run" else normal_path(self._source.parent / unquote(target))
         if not found.is_file():
             raise InputError(f"broken picture: {missing_file(found)}", f"{self._source}:{line}")
         if found.suffix == ".svg":
             path = self._away(self._copied(found, line))
             return _figure(f'<img src="{escape(path)}" alt="{escape(token.content)}" loading="lazy">', caption)
-        group = name.split("/")[0] if kind == "run" else FOLDER
-        picture = self._library.album.shrunk(found, group, PICTURE_PX, token.content)
+        group = name.split("/")[0] if kind == "run" else DOCS_FOLDER
+        picture = self._library.album.shrunk(found, group, _PICTURE_WIDTH, token.content)
         size = f'width="{picture.width}" height="{picture.height}"'
         image = f'<img src="{escape(self._away(picture.path))}" {size} alt="{escape(token.content)}" loading="lazy">'
         return _figure(image, caption)
@@ -192,8 +202,8 @@ def _block(token: Token) -> str:
 
 
 def _figure(inner: str, caption: str) -> str:
-    """Captioned, in a paragraph of its own; a span, as a paragraph may hold no figure."""
-    under = f'<span class="caption">{inline(caption)}</span>' if caption else ""
+    """A picture with a caption; a span, since HTML allows no figure in a paragraph."""
+    under = f'<span class="caption">{inline_markup(caption)}</span>' if caption else ""
     return f'<span class="figure">{inner}{under}</span>'
 
 

@@ -1,4 +1,4 @@
-"""Drawings that explain the optics. What they show is computed by the functions that design lenses."""
+"""Drawings that explain the optics, computed by the functions that design lenses."""
 
 from __future__ import annotations
 
@@ -13,24 +13,27 @@ from magiclens.images import circles
 from magiclens.optics.refraction import facet_normal, refract
 from magiclens.web.gallery.svg import Point, Svg
 
-IOR = 1.49
-EYE: Point = (0.0, 115.0)
-TOP = 40.0
-"""Height of the slab's mean top, mm; its bottom lies on the source, at 0."""
-HALF = 50.0
+_IOR = 1.49
+"""Index of refraction of the drawn lenses, that of acrylic."""
+_EYE: Point = (0.0, 115.0)
+"""The drawn eye, mm: x, and the height above the source."""
+_TOP = 40.0
+"""Height of the lens's mean top, mm; its bottom lies on the source, at 0."""
+_HALF = 50.0
+"""Half the width of the drawn lens, mm."""
 PX_PER_MM = 8
-"""Of the sheet of discs."""
+"""Pixels per millimetre of the source of discs."""
 
 
 def refraction(alt: str) -> str:
-    """One facet: its ray from the eye bends at the top, and so sees another place of the source."""
+    """Draw one facet: the ray from the eye bends at the top, and so meets another point of the source."""
     svg = _scene()
-    at, seen = (20.0, TOP), 10.0
+    at, seen = (20.0, _TOP), 10.0
     slope = _slope(at, seen)
-    _slab(svg, [(-HALF, TOP), (11.0, TOP), *_piece(at, slope, 9.0), (29.0, TOP), (HALF, TOP)])
-    straight = _meets(EYE, at)
+    _draw_lens(svg, [(-_HALF, _TOP), (11.0, _TOP), *_piece(at, slope, 9.0), (29.0, _TOP), (_HALF, _TOP)])
+    straight = _meets(_EYE, at)
     svg.line([at, (straight, 0.0)], "ray faint")
-    svg.line([EYE, at, (seen, 0.0)], "ray")
+    svg.line([_EYE, at, (seen, 0.0)], "ray")
     normal = _unit(-slope, 1.0)
     svg.line([(at[0] + k * normal[0], at[1] + k * normal[1]) for k in (-16, 22)], "aid")
     svg.text((at[0] + 24 * normal[0], at[1] + 22 * normal[1]), "the facet's normal")
@@ -42,39 +45,39 @@ def refraction(alt: str) -> str:
 
 
 def many_facets(alt: str) -> str:
-    """Neighbouring facets look at places that have nothing to do with each other."""
+    """Draw neighbouring facets that show points of the source far from each other."""
     svg = _scene()
     wanted = [-33.0, -41.0, -8.0, -19.0, 17.0, 7.0, 44.0, 30.0]
-    pitch = 2 * HALF / len(wanted)
+    pitch = 2 * _HALF / len(wanted)
     outline: list[Point] = []
     rays = []
     for k, seen in enumerate(wanted):
-        at = (-HALF + (k + 0.5) * pitch, TOP)
+        at = (-_HALF + (k + 0.5) * pitch, _TOP)
         outline += _piece(at, _slope(at, seen), pitch / 2)
         rays.append((at, seen))
-    _slab(svg, outline)
+    _draw_lens(svg, outline)
     for k, (at, seen) in enumerate(rays):
-        svg.line([EYE, at, (seen, 0.0)], "ray" if k % 2 else "ray cool")
+        svg.line([_EYE, at, (seen, 0.0)], "ray" if k % 2 else "ray cool")
         svg.dot((seen, 0.0), 4, "hot" if k % 2 else "cool")
     svg.text((0.0, -8.0), "every facet shows the place that looks most like its tile of the hidden picture", "middle")
     return svg.render(alt)
 
 
 def cells(alt: str) -> str:
-    """Facets cut vertically and along the eye's rays: raised ones stay where they are in the picture only then."""
+    """Draw facets cut vertically and along eye rays; only with the latter, raised facets do not move in the picture."""
     svg = Svg(-112.0, -14.0, 112.0, 128.0, 3.4)
     for middle, along, title in ((-57.0, False, "cut vertically"), (57.0, True, "cut along the eye's rays")):
-        eye = (middle, EYE[1])
+        eye = (middle, _EYE[1])
         edges = [middle + x for x in (-40.0, -24.0, -8.0, 8.0, 24.0, 40.0)]
         heights = (4.0, -5.0, 6.0, -4.0, 5.0)
         outline = [
-            _raised((x, TOP), rise, eye, along) for k, rise in enumerate(heights) for x in (edges[k], edges[k + 1])
+            _raised((x, _TOP), rise, eye, along) for k, rise in enumerate(heights) for x in (edges[k], edges[k + 1])
         ]
         svg.area([(edges[0], 0.0), *outline, (edges[-1], 0.0)], "glass")
         svg.line(outline, "edge")
         svg.line([(edges[0] - 4, 0.0), (edges[-1] + 4, 0.0)], "source")
         for x in edges[1:-1]:
-            svg.line([eye, (x, TOP)], "ray faint")
+            svg.line([eye, (x, _TOP)], "ray faint")
         for k in range(1, len(heights)):
             svg.line(outline[2 * k - 1 : 2 * k + 1], "ray" if along else "ray bad")
         svg.dot(eye, 6, "ink")
@@ -83,7 +86,7 @@ def cells(alt: str) -> str:
 
 
 def maps(alt: str) -> str:
-    """What a smooth lenslet can do to its patch, and the one thing that it cannot: turn it."""
+    """Draw the maps from a patch to its picture that a smooth lenslet can have, and a rotation, which it cannot."""
     turn = math.radians(35)
     kinds: Sequence[tuple[str, FloatArray, bool]] = (
         ("as it is", np.eye(2), True),
@@ -101,7 +104,7 @@ def maps(alt: str) -> str:
 
 
 def channels(alt: str) -> str:
-    """A turned lens is the same lens over a turned source: one facet, one place per turn."""
+    """Draw one facet of a turned lens, which shows another patch of the source after each turn."""
     svg = Svg(-8.0, -14.0, 232.0, 52.0, 3.3)
     for k in range(4):
         middle = (27.0 + 58.0 * k, 25.0)
@@ -118,21 +121,21 @@ def channels(alt: str) -> str:
 
 
 def free_form(alt: str) -> str:
-    """One facet before and after refinement: what it shows, and where on the source it looks."""
-    scene, shapes = _one_facet()
+    """Draw one facet before and after refinement: its picture, and the points of the source that it shows."""
+    scene, shapes = example_facet()
     (view,), size = scene.views, scene.lens.source_size_mm
-    (first, even), (last, bent) = (_seen_by(scene, shape) for shape in shapes)
+    (first, even), (last, bent) = (seen_through(scene, shape) for shape in shapes)
     middle, half = even.mean(axis=(0, 1)), 3.0
     left, top = middle[0] - half + size / 2, size / 2 - middle[1] - half
     columns, rows = (slice(round(at * PX_PER_MM), round((at + 2 * half) * PX_PER_MM)) for at in (left, top))
     source = view.source[rows, columns, 0] < 0.5
     svg = Svg(-2.0, -10.0, 168.0, 116.0, 4.2)
-    _print(svg, (25.0, 88.0), view.target[..., 0] < 0.5, "the facet's tile")
-    _print(svg, (83.0, 88.0), first, "what a lenslet shows")
-    _print(svg, (141.0, 88.0), last, "what it shows refined")
-    _print(svg, (25.0, 27.0), source, "the sheet around its patch")
+    _draw_picture(svg, (25.0, 88.0), view.target[..., 0] < 0.5, "the facet's tile")
+    _draw_picture(svg, (83.0, 88.0), first, "what a lenslet shows")
+    _draw_picture(svg, (141.0, 88.0), last, "what it shows refined")
+    _draw_picture(svg, (25.0, 27.0), source, "the sheet around its patch")
     for x, net, title in ((83.0, even, "where a lenslet looks"), (141.0, bent, "where it looks refined")):
-        _print(svg, (x, 27.0), source, title)
+        _draw_picture(svg, (x, 27.0), source, title)
         for (u, v), white in zip(net.reshape(-1, 2), view.target[1::3, 1::3].ravel(), strict=True):
             at = x + float(u - middle[0]) * 25.0 / half, 27.0 + float(v - middle[1]) * 25.0 / half
             svg.dot(at, 3.5, "cool" if white else "hot")
@@ -145,47 +148,47 @@ DRAWINGS: Mapping[str, Callable[[str], str]] = MappingProxyType(
         "free-form": free_form,
     }
 )  # fmt: skip
-"""By name: from a text that says what is to be seen to the SVG element."""
+"""Functions that make an SVG element from its alternative text, by the names that documents use."""
 
 
 def _scene() -> Svg:
-    """The eye above, the source below."""
+    """A drawing with the eye above and the source below."""
     svg = Svg(-90.0, -16.0, 90.0, 122.0, 4.0)
     svg.line([(-72.0, 0.0), (72.0, 0.0)], "source")
     svg.text((56.0, 3.0), "source")
-    svg.dot(EYE, 7, "ink")
-    svg.text((4.0, EYE[1] - 1.0), "eye")
+    svg.dot(_EYE, 7, "ink")
+    svg.text((4.0, _EYE[1] - 1.0), "eye")
     return svg
 
 
-def _slab(svg: Svg, outline: Sequence[Point]) -> None:
-    """Glass under an outline of its top."""
+def _draw_lens(svg: Svg, outline: Sequence[Point]) -> None:
+    """Draw glass below an outline of its top."""
     svg.area([(outline[0][0], 0.0), *outline, (outline[-1][0], 0.0)], "glass")
     svg.line(outline, "edge")
 
 
 def _slope(at: Point, seen: float) -> float:
-    """dz/dx of the facet at a point that shows the source at x = ``seen``, by Snell's law."""
-    nx, _, nz = facet_normal(EYE[0], 0.0, EYE[1], at[0], 0.0, at[1], seen, 0.0, 0.0, IOR)
-    dx, dz = _unit(at[0] - EYE[0], at[1] - EYE[1])
-    tx, _, tz = refract(dx, 0.0, dz, nx, 0.0, nz, IOR)
+    """The slope dz/dx of a facet at a point, by Snell's law, so that it shows the source at x = ``seen``."""
+    nx, _, nz = facet_normal(_EYE[0], 0.0, _EYE[1], at[0], 0.0, at[1], seen, 0.0, 0.0, _IOR)
+    dx, dz = _unit(at[0] - _EYE[0], at[1] - _EYE[1])
+    tx, _, tz = refract(dx, 0.0, dz, nx, 0.0, nz, _IOR)
     if abs(at[0] - tx / tz * at[1] - seen) > 1e-6:
         raise ArithmeticError("the facet does not show what it was made for")
     return float(-nx / nz)
 
 
 def _piece(at: Point, slope: float, half: float) -> list[Point]:
-    """Both ends of a facet."""
+    """Both ends of a flat facet, drawn from the side."""
     return [(at[0] - half, at[1] - slope * half), (at[0] + half, at[1] + slope * half)]
 
 
 def _meets(eye: Point, at: Point) -> float:
-    """Where the straight line through two points meets the source."""
+    """The x at which the straight line from the eye through a point meets the source."""
     return eye[0] + (at[0] - eye[0]) * eye[1] / (eye[1] - at[1])
 
 
 def _raised(at: Point, rise: float, eye: Point, along: bool) -> Point:
-    """A point of the reference plane raised straight up, or along the ray to the eye."""
+    """A point of the reference plane, raised straight up or along the ray to the eye."""
     if not along:
         return at[0], at[1] + rise
     share = rise / (eye[1] - at[1])
@@ -193,7 +196,7 @@ def _raised(at: Point, rise: float, eye: Point, along: bool) -> Point:
 
 
 def _letter(svg: Svg, middle: Point, matrix: FloatArray, possible: bool) -> None:
-    """An F in its square as a map shows it."""
+    """Draw a letter F in its square as a map shows it; the letter is asymmetric, so mirroring and turning differ."""
     parts: list[list[Point]] = [[(-3.5, -6), (-3.5, 6), (4, 6)], [(-3.5, 0.5), (2, 0.5)]]
     frame: list[Point] = [(-14, -14), (14, -14), (14, 14), (-14, 14)]
     svg.area([(middle[0] + x, middle[1] + y) for x, y in frame], "paper" if possible else "paper bad")
@@ -204,23 +207,23 @@ def _letter(svg: Svg, middle: Point, matrix: FloatArray, possible: bool) -> None
         svg.line([(middle[0] - 14, middle[1] - 14), (middle[0] + 14, middle[1] + 14)], "ray bad")
 
 
-def _one_facet() -> tuple[Scene, tuple[HeightField, HeightField]]:
-    """A facet over discs that shall show a corner: as the best lenslet, and refined."""
+def example_facet() -> tuple[Scene, tuple[HeightField, HeightField]]:
+    """A facet over discs whose target is a corner: as the best lenslet, and after refinement."""
     from magiclens.integration.poisson import Poisson
     from magiclens.matching.exhaustive import Exhaustive
 
     lens = Lens(6.0, 20.0, facets=1, microfacets=16, thickness_mm=20.0, relief_mm=3.0, floor_mm=16.0)
     rng, at = np.random.default_rng(2), np.linspace(-1, 1, 97)[1::2]
     corner = ((at[None, :] > -0.1) & (at[:, None] > -0.25)).astype(np.float32)[..., None]
-    sheet = circles(lens.source_size_mm, PX_PER_MM, rng)
-    scene = Scene(lens, (View("", sheet, corner, np.array([0.0, 0.0, 220.0])),))
+    discs = circles(lens.source_size_mm, PX_PER_MM, rng)
+    scene = Scene(lens, (View("", discs, corner, np.array([0.0, 0.0, 220.0])),))
     found = Exhaustive(candidates=1).match(scene, rng)
     lenslet = Poisson().integrate(scene, Assignment.pick(found, np.zeros((1, 1), np.int64)))
     return scene, (lenslet, Poisson().refine(scene, lenslet))
 
 
-def _seen_by(scene: Scene, shape: HeightField) -> tuple[BoolArray, FloatArray]:
-    """Which pixels of a facet's picture are dark, and where on the source its micro-facets look, (m, m, 2) mm."""
+def seen_through(scene: Scene, shape: HeightField) -> tuple[BoolArray, FloatArray]:
+    """The dark pixels of a facet's picture, and the points of the source that its micro-facets show, (m, m, 2) mm."""
     from magiclens.geometry.solid import solid_from_heights
     from magiclens.rendering.tracer import picture, trace
 
@@ -229,8 +232,8 @@ def _seen_by(scene: Scene, shape: HeightField) -> tuple[BoolArray, FloatArray]:
     return seen[..., 0] < 0.5, trace(solid, scene.lens, view, scene.lens.microfacets, 1)[:, :, 0, :2]
 
 
-def _print(svg: Svg, middle: Point, dark: BoolArray, title: str) -> None:
-    """A black and white picture, 50 wide: a strip for every run of dark pixels."""
+def _draw_picture(svg: Svg, middle: Point, dark: BoolArray, title: str) -> None:
+    """Draw a black and white picture, 50 mm wide, as a strip for each run of dark pixels."""
     left, top, pixel = middle[0] - 25.0, middle[1] + 25.0, 50.0 / len(dark)
     svg.area([(left, top), (left + 50, top), (left + 50, top - 50), (left, top - 50)], "paper")
     for row, line in enumerate(np.pad(dark, ((0, 0), (1, 1)))):
@@ -242,7 +245,7 @@ def _print(svg: Svg, middle: Point, dark: BoolArray, title: str) -> None:
 
 
 def _turned(point: Point, middle: Point, quarters: int) -> Point:
-    """Turned counter-clockwise around the origin, then moved."""
+    """A point turned counter-clockwise around the origin, then moved."""
     x, y = point
     for _ in range(quarters):
         x, y = -y, x

@@ -1,19 +1,19 @@
-"""Code in colours."""
+"""Colours for code."""
 
 from __future__ import annotations
 
 from markupsafe import Markup, escape
 
-LANGUAGES = {"sh": "bash", "yaml": "yaml", "python": "python", "json": "json", "toml": "toml"}
-"""What a page may call a language, and what the highlighter calls it."""
+_LANGUAGES = {"sh": "bash", "yaml": "yaml", "python": "python", "json": "json", "toml": "toml"}
+"""Names of languages in documents, and their names in Pygments."""
 
 
 def highlighted(text: str, language: str) -> Markup:
-    """HTML of a text in one of the languages above; of any other, only escaped."""
+    """Colour a text as HTML; if the language is not known, it is only escaped."""
     from pygments import highlight
     from pygments.formatters import HtmlFormatter
     from pygments.lexers import get_lexer_by_name
 
-    if language not in LANGUAGES:
+    if language not in _LANGUAGES:
         return escape(text)
-    return Markup(highlight(text, get_lexer_by_name(LANGUAGES[language]), HtmlFormatter(nowrap=True)))
+    return Markup(highlight(text, get_lexer_by_name(_LANGUAGES[language]), HtmlFormatter(nowrap=True)))

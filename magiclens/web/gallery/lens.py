@@ -1,4 +1,4 @@
-"""What the page of one lens shows, gathered from its run folder."""
+"""The content of the page of one lens, gathered from its run folder."""
 
 from __future__ import annotations
 
@@ -13,23 +13,24 @@ from markupsafe import Markup
 
 from magiclens.config.suggest import unknown
 from magiclens.contract.errors import InputError
-from magiclens.report.tables import Row, measure
+from magiclens.report.tables import TableRow, format_bytes, metric_headlines
 from magiclens.running.folder import MANIFEST
+from magiclens.running.manifest import REFERENCE_RENDERER
+from magiclens.web.gallery.gallery_list import GalleryEntry
 from magiclens.web.gallery.highlight import highlighted
-from magiclens.web.gallery.listed import Entry
 from magiclens.web.gallery.pictures import Album, Picture
 
-SOURCE_PX, VIEW_PX, CARD_PX, FIGURE_PX = 640, 420, 380, 1100
-"""Widths of pictures; about twice as many pixels as they usually have on a page."""
-SMALL_PX = 320
-"""Of sources and views where there are several sheets."""
-MOST_VIEWS = 9
-"""A long animation shows so many of its frames, evenly spaced."""
-FIGURES = (
+_SOURCE_WIDTH, _VIEW_WIDTH, _CARD_WIDTH, _FIGURE_WIDTH = 640, 420, 380, 1100
+"""Widths of pictures, pixels: about twice as many as they usually have on a page, for dense screens."""
+_SMALL_WIDTH = 320
+"""Width of sources and views if there are several sources, pixels."""
+_MOST_VIEWS = 9
+"""Most views on the page; of a longer animation some frames are shown, evenly spaced."""
+_FIGURES = (
     "height-map", "stable-zone", "stable-zone-curve", "warp", "secrecy", "error", "steps", "annealing", "overlap"
 )  # fmt: skip
-"""Figures of a run in the order of the page; others follow. The contact sheet is what the page itself is."""
-DOWNLOADS = {
+"""Figures of a run in the order of the page; others follow. The contact sheet is left out: the page shows the same."""
+_DOWNLOADS = {
     "lens.": "the lens, in millimetres",
     "sources/": "what to print",
     "animations/": "the animation",
@@ -38,12 +39,13 @@ DOWNLOADS = {
     "preflight.html": "whether it is fit to be made",
     "heights.npz": "the surface, for programs",
 }
-"""What of a run folder is offered, by the beginning of its path."""
-HEADLINES = {"slope_mean_deg": "mean slope", "step_max_mm": "highest step"}
+"""Descriptions of the files that can be downloaded, by the beginning of their path."""
+_HEADLINE_METRICS = {"slope_mean_deg": "mean slope", "step_max_mm": "highest step"}
+"""Labels of the metrics at the top of the page."""
 
 
 class Photo(NamedTuple):
-    """A simulated photograph, and how close it is to the target."""
+    """A simulated photograph with its scores."""
 
     renderer: str
     picture: Picture
@@ -51,26 +53,26 @@ class Photo(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Seen:
-    """One view. turn: lens rotation in degrees; place: how lens and eye are placed, in words."""
+class ViewPictures:
+    """The pictures of one view; ``placement`` says where lens and eye are, ``turn`` is the lens rotation in degrees."""
 
     name: str
-    place: str
+    placement: str
     turn: int
     target: Picture
     photos: Sequence[Photo]
 
 
 @dataclass(frozen=True)
-class Sheet:
-    """A source, and every view of it."""
+class SourceGroup:
+    """A source and all views of it."""
 
     source: Picture
-    views: Sequence[Seen]
+    views: Sequence[ViewPictures]
 
 
 class Download(NamedTuple):
-    """A file of the run folder."""
+    """A file of the run folder that can be downloaded."""
 
     path: str
     content: str
@@ -79,59 +81,70 @@ class Download(NamedTuple):
 
 @dataclass(frozen=True)
 class LensPage:
-    """Everything about one lens. card: small pictures of a source and of what is seen."""
+    """Everything about one lens; ``card`` is a small source and a small photograph of it through the lens."""
 
-    entry: Entry
-    facts: dict[str, Any]
+    entry: GalleryEntry
+    manifest: dict[str, Any]
     command: str
     spec: Markup
-    sheets: Sequence[Sheet]
+    groups: Sequence[SourceGroup]
     card: tuple[Picture, Picture]
     figures: Sequence[Picture]
     films: Sequence[str]
     downloads: Sequence[Download]
-    headlines: Sequence[Row]
+    headlines: Sequence[TableRow]
     viewer: Markup
 
     @property
     def name(self) -> str:
-        """Of the entry, the run folder and the page."""
+        """The name of the entry, of the run folder and of the page."""
         return self.entry.name
 
     @property
-    def views(self) -> list[Seen]:
-        """All views that are shown."""
-        return [view for sheet in self.sheets for view in sheet.views]
+    def views(self) -> list[ViewPictures]:
+        """All views on the page."""
+        return [view for group in self.groups for view in group.views]
 
     @property
-    def unseen(self) -> int:
-        """Views that are not shown."""
-        return len(self.facts["views"]) - len(self.views)
+    def views_left_out(self) -> int:
+        """The number of views that are not on the page."""
+        return len(self.manifest["views"]) - len(self.views)
 
 
-def lens_page(entry: Entry, folder: Path, viewer: str, album: Album, quick: bool) -> LensPage:
-    """Gather a run folder's pictures, numbers and files; pictures are shrunk into the album. viewer: HTML."""
-    facts = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-    shown = _chosen(entry, facts["views"])
-    seen = next(iter(shown["renders"].values()), shown["target"])
-    source, seen_through = (album.shrunk(folder / path, entry.name, CARD_PX, "") for path in (shown["source"], seen))
-    paths = [artifact["path"] for artifact in facts["artifacts"]]
+def lens_page(entry: GalleryEntry, folder: Path, viewer: str, album: Album, quick: bool) -> LensPage:
+    """Gather the pictures, numbers and files of a run.
+
+    Args:
+        entry: The lens in the list.
+        folder: Its run folder.
+        viewer: HTML of its viewer; may be empty.
+        album: Takes the pictures, shrunk.
+        quick: Whether the run was made with the overrides of a quick build.
+
+    Raises:
+        InputError: The entry names a view that the run does not have.
+    """
+    manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+    shown = _chosen(entry, manifest["views"])
+    photo = next(iter(shown["renders"].values()), shown["target"])
+    card = [album.shrunk(folder / path, entry.name, _CARD_WIDTH, "") for path in (shown["source"], photo)]
+    paths = [artifact["path"] for artifact in manifest["artifacts"]]
     return LensPage(
         entry,
-        facts,
+        manifest,
         entry.command(quick),
         highlighted(entry.spec.read_text(encoding="utf-8"), "yaml"),
-        _sheets(facts, folder, entry.name, album),
-        (source, seen_through),
-        [album.shrunk(folder / path, entry.name, FIGURE_PX, "") for path in _figures(paths)],
+        _groups(manifest, folder, entry.name, album),
+        (card[0], card[1]),
+        [album.shrunk(folder / path, entry.name, _FIGURE_WIDTH, "") for path in _figures(paths)],
         [path for path in paths if path.endswith(".mp4")],
-        _downloads(facts),
-        _headlines(facts),
+        _downloads(manifest),
+        _headlines(manifest),
         Markup(viewer),
     )
 
 
-def _chosen(entry: Entry, views: list[dict[str, Any]]) -> dict[str, Any]:
+def _chosen(entry: GalleryEntry, views: list[dict[str, Any]]) -> dict[str, Any]:
     """The view for the card."""
     names = [view["name"] for view in views]
     if entry.view is not None and entry.view not in names:
@@ -139,39 +152,44 @@ def _chosen(entry: Entry, views: list[dict[str, Any]]) -> dict[str, Any]:
     return views[names.index(entry.view) if entry.view else 0]
 
 
-def _sheets(facts: dict[str, Any], folder: Path, group: str, album: Album) -> list[Sheet]:
+def _groups(manifest: dict[str, Any], folder: Path, group: str, album: Album) -> list[SourceGroup]:
     """Views by source, in the order of the first view of each."""
     views: dict[str, list[dict[str, Any]]] = {}
-    for view in _spread(facts["views"]):
+    for view in _some_views(manifest["views"]):
         views.setdefault(view["source"], []).append(view)
-    wide, narrow = (SOURCE_PX, VIEW_PX) if len(views) == 1 else (SMALL_PX, SMALL_PX)
+    wide, narrow = (_SOURCE_WIDTH, _VIEW_WIDTH) if len(views) == 1 else (_SMALL_WIDTH, _SMALL_WIDTH)
     return [
-        Sheet(
+        SourceGroup(
             album.shrunk(folder / source, group, wide, "The source, without the lens"),
-            [_seen(view, facts, folder, partial(album.shrunk, group=group, width=narrow)) for view in of_source],
+            [
+                _view_pictures(view, manifest, folder, partial(album.shrunk, group=group, width=narrow))
+                for view in of_source
+            ],
         )
         for source, of_source in views.items()
     ]
 
 
-def _spread(views: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """At most ``MOST_VIEWS`` views, the first and the last among them."""
-    if len(views) <= MOST_VIEWS:
+def _some_views(views: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """At most ``_MOST_VIEWS`` views, the first and the last among them."""
+    if len(views) <= _MOST_VIEWS:
         return views
-    return [views[round(k * (len(views) - 1) / (MOST_VIEWS - 1))] for k in range(MOST_VIEWS)]
+    return [views[round(k * (len(views) - 1) / (_MOST_VIEWS - 1))] for k in range(_MOST_VIEWS)]
 
 
-def _seen(view: dict[str, Any], facts: dict[str, Any], folder: Path, shrunk: Callable[..., Picture]) -> Seen:
-    place = _place(view, facts)
-    return Seen(
+def _view_pictures(
+    view: dict[str, Any], manifest: dict[str, Any], folder: Path, shrunk: Callable[..., Picture]
+) -> ViewPictures:
+    placement = _placement(view, manifest)
+    return ViewPictures(
         view["name"],
-        place,
+        placement,
         round(view["rotation_deg"]) % 360,
         shrunk(folder / view["target"], alt=f"{view['name']}: the target"),
         [
             Photo(
                 renderer,
-                shrunk(folder / path, alt=f"{view['name']}: what is seen through the lens, {place}"),
+                shrunk(folder / path, alt=f"{view['name']}: what is seen through the lens, {placement}"),
                 _score(view, renderer),
             )
             for renderer, path in view["renders"].items()
@@ -180,18 +198,22 @@ def _seen(view: dict[str, Any], facts: dict[str, Any], folder: Path, shrunk: Cal
 
 
 def _score(view: dict[str, Any], renderer: str) -> str:
-    """PSNR and SSIM as the manifest has them."""
-    suffix = "" if renderer == "tracer" else f"_{renderer}"
-    psnr, ssim = view.get(f"psnr_db{suffix}"), view.get(f"ssim{suffix}")
+    """PSNR and SSIM from the manifest; empty if it has none."""
+    psnr, ssim = view.get(_key("psnr_db", renderer)), view.get(_key("ssim", renderer))
     return "" if psnr is None or ssim is None else f"{psnr:.1f} dB, SSIM {ssim:.2f}"
 
 
-def _place(view: dict[str, Any], facts: dict[str, Any]) -> str:
-    """How the lens and the eye are placed."""
+def _key(score: str, renderer: str) -> str:
+    """The key of a score in the manifest, which names the renderer unless it is the reference."""
+    return score if renderer == REFERENCE_RENDERER else f"{score}_{renderer}"
+
+
+def _placement(view: dict[str, Any], manifest: dict[str, Any]) -> str:
+    """Where lens and eye are, in words."""
     x, y, z = view["eye_mm"]
-    above = f"eye {z - facts['scene']['thickness_mm']:.0f} mm above the lens"
+    above = f"eye {z - manifest['scene']['thickness_mm']:.0f} mm above the lens"
     aside = f"eye at ({round(x)}, {round(y)}) mm" if abs(x) + abs(y) > 0.5 else ""
-    turned = any(v["rotation_deg"] for v in facts["views"])
+    turned = any(v["rotation_deg"] for v in manifest["views"])
     parts = [f"lens at {view['rotation_deg']:g}°" if turned else "", aside]
     return ", ".join(part for part in parts if part) or above
 
@@ -199,38 +221,29 @@ def _place(view: dict[str, Any], facts: dict[str, Any]) -> str:
 def _figures(paths: Sequence[str]) -> list[str]:
     found = {Path(path).stem: path for path in paths if path.startswith("figures/") and path.endswith(".png")}
     found.pop("contact-sheet", None)
-    names = [name for name in FIGURES if name in found]
+    names = [name for name in _FIGURES if name in found]
     return [found[name] for name in [*names, *(name for name in found if name not in names)]]
 
 
-def _downloads(facts: dict[str, Any]) -> list[Download]:
-    """In the order of ``DOWNLOADS``."""
-    files = facts["artifacts"]
+def _downloads(manifest: dict[str, Any]) -> list[Download]:
+    """In the order of ``_DOWNLOADS``."""
+    files = manifest["artifacts"]
     found = [
-        Download(file["path"], content, size_text(file["bytes"]))
-        for start, content in DOWNLOADS.items()
+        Download(file["path"], content, format_bytes(file["bytes"]))
+        for start, content in _DOWNLOADS.items()
         for file in files
         if file["path"].startswith(start)
     ]
     return [*found, Download(MANIFEST, "everything about the run, for programs", "")]
 
 
-def _headlines(facts: dict[str, Any]) -> list[Row]:
-    """The few numbers that matter most."""
-    scene, metrics = facts["scene"], facts["metrics"]
-    rows = [Row("facets", f"{scene['facets']} x {scene['facets']}"), Row("size", f"{scene['size_mm']:g} mm")]
-    for renderer in facts["views"][0]["renders"]:
-        key = "psnr_db" if renderer == "tracer" else f"psnr_db_{renderer}"
-        values = [view[key] for view in facts["views"] if view.get(key) is not None]
+def _headlines(manifest: dict[str, Any]) -> list[TableRow]:
+    """The few numbers at the top of the page."""
+    scene, metrics = manifest["scene"], manifest["metrics"]
+    rows = [TableRow("facets", f"{scene['facets']} x {scene['facets']}"), TableRow("size", f"{scene['size_mm']:g} mm")]
+    for renderer in manifest["views"][0]["renders"]:
+        key = _key("psnr_db", renderer)
+        values = [view[key] for view in manifest["views"] if view.get(key) is not None]
         if values:
-            rows.append(Row(f"PSNR ({renderer})", f"{sum(values) / len(values):.1f} dB"))
-    return rows + [Row(label, measure(key, metrics[key], 3)) for key, label in HEADLINES.items() if key in metrics]
-
-
-def size_text(size: float) -> str:
-    """Bytes for people."""
-    for unit in ("bytes", "kB", "MB"):
-        if size < 1000:
-            return f"{size:.3g} {unit}"
-        size /= 1000
-    return f"{size:.3g} GB"
+            rows.append(TableRow(f"PSNR ({renderer})", f"{sum(values) / len(values):.1f} dB"))
+    return rows + metric_headlines(metrics, _HEADLINE_METRICS)

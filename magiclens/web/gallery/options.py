@@ -1,4 +1,4 @@
-"""The keys of a model as tables: name, what it takes, what it is unless written, what it means."""
+"""The keys of a pydantic model as tables: name, kind of value, default, meaning."""
 
 from __future__ import annotations
 
@@ -13,28 +13,29 @@ from magiclens.config.schema import Draft7
 from magiclens.contract.units import ANGLE, FRACTION, LENGTH, Quantity
 from magiclens.web.gallery.parts import Table
 
-HEAD = ("Key", "Takes", "Default", "Meaning")
-LIMITS = {
+_HEAD = ("Key", "Takes", "Default", "Meaning")
+_LIMITS = {
     "minimum": "≥", "exclusiveMinimum": ">", "ge": "≥", "gt": ">",
     "maximum": "≤", "exclusiveMaximum": "<", "le": "≤", "lt": "<",
 }  # fmt: skip
-Schema = Mapping[str, Any]
+"""Signs of limits, by their names in JSON Schema and in pydantic."""
+_Schema = Mapping[str, Any]
 
 
 def model_tables(model: type[BaseModel]) -> list[Table]:
-    """One table of the model's own keys, and one for each kind of mapping that they take. None if there are no keys."""
+    """A table of the model's own keys, then one for each kind of mapping that they take; no table if it has no keys."""
     schema = model.model_json_schema(schema_generator=Draft7)
     shapes = schema.get("$defs", {})
     own = [_table("", schema)] if schema.get("properties") else []
     return own + [_table(_title(shape), shape) for shape in shapes.values() if shape.get("properties")]
 
 
-def takes(schema: Schema) -> str:
-    """What a key takes, in words: ``length``, ``a | b``, ``list of share``."""
+def value_kind(schema: _Schema) -> str:
+    """The kind of value that a key takes, in words: ``length``, ``a or b``, ``list of share``."""
     return " or ".join(dict.fromkeys(_kinds(schema)))
 
 
-def _kinds(schema: Schema) -> Iterator[str]:
+def _kinds(schema: _Schema) -> Iterator[str]:
     for key in ("anyOf", "oneOf"):
         if key in schema and "properties" not in schema:
             for choice in schema[key]:
@@ -56,39 +57,39 @@ def _kinds(schema: Schema) -> Iterator[str]:
         yield _plain(schema) + _limits(schema)
 
 
-def _list(schema: Schema) -> str:
+def _list(schema: _Schema) -> str:
     items = schema.get("prefixItems") or [schema.get("items", {})]
-    return f"list of {' and '.join(dict.fromkeys(takes(item) for item in items))}"
+    return f"list of {' and '.join(dict.fromkeys(value_kind(item) for item in items))}"
 
 
 def _pattern(pattern: str) -> str:
-    """Which of the quantities with units it is."""
+    """The quantity whose numbers a pattern allows."""
     nouns: dict[str, Quantity] = {"length": LENGTH, "angle": ANGLE, "share": FRACTION}
     found = [noun for noun, quantity in nouns.items() if quantity.pattern in pattern]
     return " or ".join(found) or ("speed" if "mm/min" in pattern else "text")
 
 
-def _plain(schema: Schema) -> str:
+def _plain(schema: _Schema) -> str:
     words = {"integer": "whole number", "boolean": "true or false", "string": "text", "object": "mapping"}
     type_ = str(schema.get("type", "anything"))
     return words.get(type_, type_)
 
 
-def _limits(schema: Schema) -> str:
-    found = [f"{sign} {schema[key]:g}" for key, sign in LIMITS.items() if isinstance(schema.get(key), int | float)]
+def _limits(schema: _Schema) -> str:
+    found = [f"{sign} {schema[key]:g}" for key, sign in _LIMITS.items() if isinstance(schema.get(key), int | float)]
     return f", {', '.join(found)}" if found else ""
 
 
-def _table(note: str, schema: Schema) -> Table:
+def _table(note: str, schema: _Schema) -> Table:
     required = schema.get("required", ())
     rows = [
-        (f"`{key}`", takes(value), _default(value, key in required), str(value.get("description", "")))
+        (f"`{key}`", value_kind(value), _default(value, key in required), str(value.get("description", "")))
         for key, value in schema["properties"].items()
     ]
-    return Table(note, HEAD, rows)
+    return Table(note, _HEAD, rows)
 
 
-def _default(schema: Schema, required: bool) -> str:
+def _default(schema: _Schema, required: bool) -> str:
     if required:
         return "required"
     value = schema.get("default")
@@ -97,7 +98,7 @@ def _default(schema: Schema, required: bool) -> str:
     return f"`{value if isinstance(value, str) else json.dumps(value)}`"
 
 
-def _title(schema: Schema) -> str:
-    """What a kind of mapping is called, and is."""
+def _title(schema: _Schema) -> str:
+    """Name and description of a kind of mapping."""
     about = str(schema.get("description", "")).split("\n\n")[0].replace("\n", " ")
     return f"**{{{schema['title']}}}** {about}"

@@ -1,4 +1,4 @@
-"""HTML of every kind of page, from the templates beside this file. Everything that users wrote is escaped."""
+"""The HTML of every kind of page in the gallery. Everything that users wrote is escaped."""
 
 from __future__ import annotations
 
@@ -8,13 +8,12 @@ from pathlib import PurePosixPath
 from typing import NamedTuple
 from urllib.parse import quote
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
 import magiclens
-from magiclens.web.gallery.docs import FOLDER, DocPage, inline
+from magiclens.pages.templating import render_page
+from magiclens.web.gallery.docs import DOCS_FOLDER, DocPage, inline_markup
+from magiclens.web.gallery.gallery_list import GalleryList
 from magiclens.web.gallery.highlight import highlighted
 from magiclens.web.gallery.lens import LensPage
-from magiclens.web.gallery.listed import Gallery
 from magiclens.web.gallery.parts import ReferencePage
 
 
@@ -26,21 +25,20 @@ class Link(NamedTuple):
 
 
 class Site:
-    """Renders pages. menu: the documentation, by section."""
+    """Renders the pages of a site."""
 
-    def __init__(self, gallery: Gallery, menu: Mapping[str, Sequence[Link]], lenses: Sequence[LensPage]):
+    def __init__(self, gallery: GalleryList, menu: Mapping[str, Sequence[Link]], lenses: Sequence[LensPage]):
+        """Keep what all pages need.
+
+        Args:
+            gallery: The list.
+            menu: Pages of the documentation by section.
+            lenses: Pages of the lenses in the order of the list.
+        """
         self._gallery, self._menu, self._lenses = gallery, menu, lenses
-        self._environment = Environment(
-            loader=PackageLoader("magiclens.web.gallery"),
-            autoescape=True,
-            undefined=StrictUndefined,
-            trim_blocks=True,
-            lstrip_blocks=True,
-        )
-        self._environment.filters |= {"inline": inline, "highlighted": highlighted, "quoted": quote}
 
     def index(self) -> str:
-        """The front page: every lens."""
+        """The front page, with a card for each lens."""
         hero = next((page for page in self._lenses if page.name == self._gallery.hero), None)
         return self._render("index.html", "index.html", self._gallery.title, hero=hero)
 
@@ -60,15 +58,16 @@ class Site:
         return self._render("reference.html", page.path, page.title, page=page)
 
     def contents(self) -> str:
-        """What documentation there is."""
-        return self._render("contents.html", f"{FOLDER}/index.html", "Documentation")
+        """The page with links to all documentation."""
+        return self._render("contents.html", f"{DOCS_FOLDER}/index.html", "Documentation")
 
     def _render(self, template: str, path: str, title: str, **more: object) -> str:
         def to(target: str) -> str:
             """A path of the site, relative to this page."""
             return quote(os.path.relpath(target, PurePosixPath(path).parent))
 
-        return self._environment.get_template(template).render(
+        return render_page(
+            f"magiclens.web.gallery/{template}",
             path=path,
             title=title,
             gallery=self._gallery,
@@ -76,5 +75,7 @@ class Site:
             lenses=self._lenses,
             version=magiclens.__version__,
             to=to,
+            inline_markup=inline_markup,
+            highlighted=highlighted,
             **more,
         )

@@ -1,4 +1,4 @@
-"""What reference pages are made of, before they are HTML."""
+"""The parts of reference pages, before they are HTML."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from magiclens.web.gallery.docs import Heading, slug
+from magiclens.web.gallery.docs import Heading, anchor_of
 from magiclens.web.gallery.pictures import Picture
 
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of cells; text between backticks is code. ``note`` stands above, and an empty one is not shown."""
+    """Rows of cells; text between backticks is code. ``note`` is a text above the table; it may be empty."""
 
     shape: ClassVar[str] = "table"
     note: str
@@ -38,13 +38,13 @@ class Text:
 
     @property
     def paragraphs(self) -> list[str]:
-        """Without empty ones."""
+        """The paragraphs of the text that are not empty."""
         return [paragraph for paragraph in self.text.split("\n\n") if paragraph.strip()]
 
 
 @dataclass(frozen=True)
 class Images:
-    """Captioned small pictures."""
+    """Small pictures with captions."""
 
     shape: ClassVar[str] = "images"
     items: Sequence[tuple[str, Picture]]
@@ -55,7 +55,7 @@ Block = Table | Text | Code | Images
 
 @dataclass(frozen=True)
 class Part:
-    """A heading, what there is to say, and blocks."""
+    """A heading, an introduction, and blocks."""
 
     title: str
     text: str
@@ -63,18 +63,18 @@ class Part:
 
     @property
     def anchor(self) -> str:
-        """What a link to it ends in."""
-        return slug(self.title)
+        """The anchor that links to the part end with."""
+        return anchor_of(self.title)
 
     @property
     def all_blocks(self) -> list[Block]:
-        """The text first."""
+        """The introduction, then the blocks."""
         return [Text(self.text), *self.blocks]
 
 
 @dataclass(frozen=True)
 class ReferencePage:
-    """A page of parts. ``path`` is relative to the site's folder."""
+    """A page of parts; ``path`` is relative to the site's folder."""
 
     path: str
     title: str
@@ -83,5 +83,5 @@ class ReferencePage:
 
     @property
     def headings(self) -> list[Heading]:
-        """Its parts."""
+        """The headings of its parts."""
         return [Heading(part.anchor, part.title) for part in self.parts]

@@ -1,4 +1,4 @@
-"""Pictures as a web page needs them: no larger than shown, and written once."""
+"""Pictures as web pages need them: no larger than shown, and written once."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ from magiclens.running.folder import atomic_file
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-QUALITY = 72
+_QUALITY = 72
+"""Quality of WebP pictures, 0 to 100."""
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture of the site. ``path`` is relative to the site's folder; width and height in pixels."""
+    """A picture of the site; ``path`` is relative to the site's folder, width and height are in pixels."""
 
     path: str
     width: int
@@ -28,54 +29,61 @@ class Picture:
 
 
 class Album:
-    """The site's pictures, all in ``pictures/``. Whatever has not been asked for by the end is removed."""
+    """The pictures of the site, all in ``pictures/``; ``paths`` are those that the pages use."""
 
     def __init__(self, site: Path):
         self._site = site
         self.paths: set[str] = set()
 
     def shrunk(self, source: Path, group: str, width: int, alt: str) -> Picture:
-        """A picture file at most ``width`` pixels wide, as WebP; its own title and description become the caption's.
+        """Copy a picture file into the site, as WebP; it is not written again if the file is older than the copy.
 
-        Nothing is written when it was made from the same file before. Raises InputError if it is no picture.
+        Args:
+            source: The file; its own title and description become title and caption.
+            group: Folder within ``pictures/``.
+            width: Greatest width, pixels.
+            alt: Alternative text; the title if it is empty.
+
+        Raises:
+            InputError: The file is no picture.
         """
         from PIL import Image
 
         try:
             with Image.open(source) as image:
                 title, caption = (str(image.info.get(key, "")) for key in ("Title", "Description"))
-                size = fitted(image.size, width)
+                size = _scaled_down(image.size, width)
                 path = self._path(source, group, size[0])
                 if not _is_newer(self._site / path, source):
-                    write_webp(self._site / path, _resized(image, size))
+                    _write_webp(self._site / path, _resized(image, size))
         except OSError as error:
             raise InputError(f"this is no picture that can be read: {error}", str(source)) from None
         self.paths.add(path)
         return Picture(path, *size, alt or title, title, caption)
 
     def drawn(self, image: Image, group: str, name: str, alt: str) -> Picture:
-        """A picture that was drawn from nothing but code."""
+        """Write a picture that code has drawn into the site."""
         path = f"pictures/{group}/{name}.webp"
-        write_webp(self._site / path, image)
+        _write_webp(self._site / path, image)
         self.paths.add(path)
         return Picture(path, *image.size, alt)
 
     def _path(self, source: Path, group: str, width: int) -> str:
-        """Different for files of equal names in different folders of a run."""
+        """The name holds the folder, since files in different folders of a run have equal names."""
         return f"pictures/{group}/{source.parent.name}-{source.stem}-{width}.webp"
 
 
-def fitted(size: tuple[int, int], width: int) -> tuple[int, int]:
-    """Width and height of a picture that is no wider than ``width``."""
+def _scaled_down(size: tuple[int, int], width: int) -> tuple[int, int]:
+    """The size of a picture once it is no wider than ``width``."""
     if size[0] <= width:
         return size
     return width, max(1, round(size[1] * width / size[0]))
 
 
-def write_webp(path: Path, image: Image) -> None:
+def _write_webp(path: Path, image: Image) -> None:
     """Write a picture as WebP, whole or not at all; equal pictures give equal bytes."""
     with atomic_file(path) as partial:
-        image.save(partial, "WEBP", quality=QUALITY, method=4)
+        image.save(partial, "WEBP", quality=_QUALITY, method=4)
 
 
 def _resized(image: Image, size: tuple[int, int]) -> Image:

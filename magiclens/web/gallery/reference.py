@@ -1,4 +1,4 @@
-"""Reference pages, made from the code itself: nobody can forget to bring them up to date."""
+"""Reference pages, made from the code itself, so that they are never out of date."""
 
 from __future__ import annotations
 
@@ -13,45 +13,55 @@ from magiclens.contract.stages import KINDS
 from magiclens.plan.registry import EXECUTOR, SCENARIO, STAGE, Registry
 from magiclens.profiles.machines import PROCESSES, machines
 from magiclens.profiles.materials import materials
-from magiclens.web.gallery.docs import FOLDER, first_line
+from magiclens.web.gallery.docs import DOCS_FOLDER, first_line
 from magiclens.web.gallery.options import model_tables
 from magiclens.web.gallery.parts import Block, Code, Images, Part, ReferencePage, Table, Text
 from magiclens.web.gallery.pictures import Album
 
-ART_PX = 160
+_ART_SIDE = 160
+"""Width and height of the pictures of built-in art, pixels."""
 Commands = Mapping[str, Any]
+"""The commands of the command line by name, as click has them."""
 
 
-def reference(registry: Registry, commands: Commands, album: Album) -> list[ReferencePage]:
-    """Every reference page. commands: those of the command line, as click has them, by name."""
+def reference_pages(registry: Registry, commands: Commands, album: Album) -> list[ReferencePage]:
+    """Make all reference pages.
+
+    Args:
+        registry: Installed scenarios, stages, executors and art.
+        commands: The commands of the command line.
+        album: Takes the pictures of built-in art.
+    """
     return [
-        ReferencePage(f"{FOLDER}/reference/spec.html", "Spec", "What a spec may say, key by key.", _spec(registry)),
         ReferencePage(
-            f"{FOLDER}/reference/stages.html",
+            f"{DOCS_FOLDER}/reference/spec.html", "Spec", "What a spec may say, key by key.", _spec(registry)
+        ),
+        ReferencePage(
+            f"{DOCS_FOLDER}/reference/stages.html",
             "Stages",
             "Every stage of the pipeline that is installed, by kind, with its options.",
             _stages(registry),
         ),
         ReferencePage(
-            f"{FOLDER}/reference/commands.html",
+            f"{DOCS_FOLDER}/reference/commands.html",
             "Commands",
             "What `mlens` can be told.",
             _commands(commands) + _executors(registry),
         ),
         ReferencePage(
-            f"{FOLDER}/reference/plugins.html",
+            f"{DOCS_FOLDER}/reference/plugins.html",
             "Hooks and contracts",
             "What a plugin can implement, and the names that it may import from `magiclens`.",
             _plugins(),
         ),
         ReferencePage(
-            f"{FOLDER}/reference/machines.html",
+            f"{DOCS_FOLDER}/reference/machines.html",
             "Machines and materials",
             "What `fabrication.machine` and `lens.material` can be.",
             _profiles(),
         ),
         ReferencePage(
-            f"{FOLDER}/reference/art.html",
+            f"{DOCS_FOLDER}/reference/art.html",
             "Art",
             "Built-in pictures: `{art: panda}` in a spec.",
             [Part("Pictures", "", [Images(_art(registry, album))])],
@@ -63,7 +73,7 @@ def _spec(registry: Registry) -> list[Part]:
     """The keys of a spec, then those of each scenario."""
     whole = [Part("Top level", first_line(Spec.__doc__), model_tables(Spec))]
     classes = registry.classes(SCENARIO)
-    return whole + [Part(f"scenario: {name}", _words(cls), model_tables(cls)) for name, cls in classes.items()]
+    return whole + [Part(f"scenario: {name}", _docstring(cls), model_tables(cls)) for name, cls in classes.items()]
 
 
 def _stages(registry: Registry) -> list[Part]:
@@ -71,7 +81,7 @@ def _stages(registry: Registry) -> list[Part]:
     for kind in KINDS:
         for name, cls in registry.classes(STAGE, kind).items():
             by = f" Version {cls.version}, from {registry.contributions[STAGE, kind, name].plugin}."
-            parts.append(Part(f"{kind}: {name}", _words(cls) + by, model_tables(cls)))
+            parts.append(Part(f"{kind}: {name}", _docstring(cls) + by, model_tables(cls)))
     return parts
 
 
@@ -87,14 +97,14 @@ def _commands(commands: Commands) -> list[Part]:
 
 
 def _executors(registry: Registry) -> list[Part]:
-    """What ``--executor`` can be, and the options that ``--executor-set`` takes."""
+    """The values of ``--executor``, and the options that ``--executor-set`` takes."""
     classes = registry.classes(EXECUTOR)
-    return [Part(f"--executor {name}", _words(cls), model_tables(cls)) for name, cls in classes.items()]
+    return [Part(f"--executor {name}", _docstring(cls), model_tables(cls)) for name, cls in classes.items()]
 
 
 def _plugins() -> list[Part]:
-    hooks = [Part(name, _words(hook), [Code(_signature(name, hook), "python")]) for name, hook in _hooks()]
-    kinds = [Part(f"kind: {kind}", _words(cls), _methods(cls)) for kind, cls in KINDS.items()]
+    hooks = [Part(name, _docstring(hook), [Code(_signature(name, hook), "python")]) for name, hook in _hooks()]
+    kinds = [Part(f"kind: {kind}", _docstring(cls), _methods(cls)) for kind, cls in KINDS.items()]
     return [*hooks, *kinds, Part("Public names", "`from magiclens import ...`", [_public()])]
 
 
@@ -103,16 +113,16 @@ def _hooks() -> list[tuple[str, Any]]:
 
 
 def _methods(cls: type[Any]) -> list[Block]:
-    """Signatures and docstrings of what a stage implements."""
+    """Signatures and docstrings of the methods that a stage implements."""
     blocks: list[Block] = []
     for name, method in vars(cls).items():
         if inspect.isfunction(method) and not name.startswith("_"):
-            blocks += [Code(_signature(name, method), "python"), Text(_words(method))]
+            blocks += [Code(_signature(name, method), "python"), Text(_docstring(method))]
     return blocks
 
 
 def _signature(name: str, function: Any) -> str:
-    """As it is written, one parameter a line where there are several."""
+    """A signature as it is written in code, with one parameter a line if there are several."""
     signature = inspect.signature(function)
     found = [_parameter(parameter) for parameter in signature.parameters.values()]
     listed = "".join(f"\n    {parameter}," for parameter in found) + "\n" if len(found) > 1 else "".join(found)
@@ -120,7 +130,7 @@ def _signature(name: str, function: Any) -> str:
 
 
 def _parameter(parameter: inspect.Parameter) -> str:
-    """With its type, and its default by name."""
+    """A parameter with its type, and with its default by name."""
     empty = inspect.Parameter.empty
     text = parameter.name if parameter.annotation is empty else f"{parameter.name}: {parameter.annotation}"
     default = parameter.default
@@ -135,12 +145,12 @@ def _public() -> Table:
 def _profiles() -> list[Part]:
     parts = []
     for name, profile in machines().items():
-        facts = _pairs(profile.options) + _pairs({f"lens.{key}": value for key, value in profile.lens.items()})
-        facts += _pairs(
+        rows = _rows(profile.options) + _rows({f"lens.{key}": value for key, value in profile.lens.items()})
+        rows += _rows(
             {f"{kind}.{key}": v for kind, stage in profile.stages.items() for key, v in stage.items() if key != "type"}
         )
         text = f"{_sentence(profile.title)} Process: {profile.process}. Numbers: {profile.source}"
-        parts.append(Part(name, text, [Table("", ("Key", "Value"), facts)]))
+        parts.append(Part(name, text, [Table("", ("Key", "Value"), rows)]))
     for process, model in PROCESSES.items():
         text = "Any of these can be overridden beside `machine`."
         parts.append(Part(f"Options of {process}", text, model_tables(model)))
@@ -161,14 +171,14 @@ def _art(registry: Registry, album: Album) -> list[tuple[str, Any]]:
 
     shown = []
     for name, draw in registry.art.items():
-        values = np.rint(to_display(draw(ART_PX)) * 255).astype(np.uint8)
-        image = Image.fromarray(np.ascontiguousarray(np.broadcast_to(values, (ART_PX, ART_PX, 3))))
+        values = np.rint(to_display(draw(_ART_SIDE)) * 255).astype(np.uint8)
+        image = Image.fromarray(np.ascontiguousarray(np.broadcast_to(values, (_ART_SIDE, _ART_SIDE, 3))))
         shown.append((name, album.drawn(image, "art", name, f"the picture called {name}")))
     return shown
 
 
-def _pairs(facts: dict[str, Any]) -> list[tuple[str, ...]]:
-    return [(f"`{key}`", f"`{_value(value)}`") for key, value in facts.items()]
+def _rows(values: dict[str, Any]) -> list[tuple[str, ...]]:
+    return [(f"`{key}`", f"`{_value(value)}`") for key, value in values.items()]
 
 
 def _value(value: Any) -> str:
@@ -179,6 +189,6 @@ def _sentence(text: str) -> str:
     return f"{text[:1].upper()}{text[1:]}."
 
 
-def _words(thing: Any) -> str:
-    """A docstring as running text."""
+def _docstring(thing: Any) -> str:
+    """The docstring of a class or function, without its indentation."""
     return inspect.getdoc(thing) or ""

@@ -1,7 +1,7 @@
-"""Heights in few bytes: every facet as a sum of polynomials, as many as it has vertices, its coefficients rounded.
+"""Heights in few bytes: each facet as a sum of polynomials with rounded coefficients, as many as it has vertices.
 
-Any facet can be written so. Of a smooth lenslet only the first few coefficients differ from zero, and where refinement
-has turned micro-facets one by one, most of the others still are small; so one coding serves both.
+Any facet can be written in this way. A smooth lenslet has few coefficients that differ from zero; where refinement has
+turned the micro-facets one by one, most coefficients are still small. So one coding serves both.
 """
 
 from __future__ import annotations
@@ -13,48 +13,55 @@ import numpy as np
 
 from magiclens.contract.artifacts import FloatArray
 
-COARSER = 2**0.5
-"""From one try to the next when the packed heights are too long."""
+_COARSER = 2**0.5
+"""Factor of the step from one try to the next, while the packed heights are too long."""
 
 
 @dataclass(frozen=True)
-class Packed:
-    """Integers (k, k, N, N), zlib-compressed: 0, -1, 1, -2, .. as 0, 1, 2, 3, .., lowest bytes first, then the second.
+class PackedHeights:
+    """Rounded coefficients of all facets.
 
-    Times ``step`` they are the coefficients [p, q], mm, of orthonormal polynomials over the k grid lines of a facet: of
-    degree p from the top row down and q from left to right.
+    ``content`` holds whole numbers (k, k, N, N), zlib-compressed. 0, -1, 1, -2, .. are written as 0, 1, 2, 3, .. in
+    four bytes each: first the lowest bytes of all numbers, then the second ones, and so on. Times ``step``, mm, the
+    numbers are the coefficients [p, q] of orthonormal polynomials over the k grid lines of a facet: of degree p from the
+    top row down, and of degree q from left to right.
     """
 
     content: bytes
     step: float
 
 
-def pack(heights_mm: FloatArray, finest_mm: float, most_bytes: int) -> Packed:
-    """Pack (N, N, k, k) heights, coefficients rounded to ``finest_mm``, or more coarsely to fit into ``most_bytes``."""
-    basis, step = polynomials(heights_mm.shape[-1]), finest_mm
+def pack_heights(heights_mm: FloatArray, finest_mm: float, most_bytes: int) -> PackedHeights:
+    """Pack the heights of all facets.
+
+    Args:
+        heights_mm: (N, N, k, k) heights, row 0 at +y.
+        finest_mm: Step to which coefficients are rounded, if that fits.
+        most_bytes: Greatest length of the content; coefficients are rounded more coarsely until it fits.
+    """
+    basis, step = orthonormal_polynomials(heights_mm.shape[-1]), finest_mm
     coefficients = np.einsum("ijab,pa,qb->pqij", heights_mm, basis, basis, optimize=True)
     while len(content := _compressed(np.rint(coefficients / step).astype("<i4"))) > most_bytes:
-        step *= COARSER
-    return Packed(content, step)
+        step *= _COARSER
+    return PackedHeights(content, step)
 
 
-def unpack(packed: Packed, facets: int, lines: int) -> FloatArray:
-    """(N, N, k, k) float64 heights, mm; the viewer's script does the same."""
+def unpack_heights(packed: PackedHeights, facets: int, lines: int) -> FloatArray:
+    """Heights (N, N, k, k) float64, mm, of N facets and k grid lines a side; the viewer's script does the same."""
     apart = np.frombuffer(zlib.decompress(packed.content), np.uint8).reshape(4, -1)
     folded = np.ascontiguousarray(apart.T).view("<u4").astype(np.int64).reshape(lines, lines, facets, facets)
-    whole, basis = folded >> 1 ^ -(folded & 1), polynomials(lines)
+    whole, basis = folded >> 1 ^ -(folded & 1), orthonormal_polynomials(lines)
     heights: FloatArray = np.einsum("pqij,pa,qb->ijab", whole * packed.step, basis, basis, optimize=True)
     return heights
 
 
-def polynomials(k: int) -> FloatArray:
-    """(k, k): orthonormal polynomials over k evenly spaced points; row d has degree d and rises at the last point.
-
-    By Gram and Schmidt, step by step as in the viewer's script, lest the two differ where degrees are high.
-    """
+def orthonormal_polynomials(k: int) -> FloatArray:
+    """Polynomials (k, k) over k evenly spaced points; row d has degree d and is positive at the last point."""
+    # Gram-Schmidt, step by step as in the viewer's script: at high degrees another method would round differently
     x, rows = np.linspace(-1, 1, k), np.zeros((k, k))
     for degree in range(k):
         row = x * rows[degree - 1] if degree else np.ones(k)
+        # twice, as once leaves rounding errors that grow with the degree
         for _ in range(2):
             row = row - rows.T @ (rows @ row)
         rows[degree] = row / np.linalg.norm(row)
@@ -62,5 +69,6 @@ def polynomials(k: int) -> FloatArray:
 
 
 def _compressed(whole: np.ndarray) -> bytes:
+    """Bytes of equal weight stand together, since most high bytes are zero and compress to nothing."""
     folded = np.ascontiguousarray(whole << 1 ^ whole >> 31)
     return zlib.compress(folded.view(np.uint8).reshape(-1, 4).T.tobytes())

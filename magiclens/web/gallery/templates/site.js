@@ -1,18 +1,18 @@
-// The lens on the front page: lay it on the dots, then turn it. Without this script the first view lies there.
+// The lens on the front page: a button lays it on the dots, then turns it. Without this script it shows its first view.
 "use strict";
 document.querySelectorAll("[data-try]").forEach(function (figure) {
-  var slab = figure.querySelector("[data-slab]");
+  var lens = figure.querySelector("[data-lens]");
   var button = figure.querySelector("[data-turn]");
   var state = figure.querySelector("[data-state]");
-  var views = Array.prototype.slice.call(slab.querySelectorAll("img"));
+  var views = Array.prototype.slice.call(lens.querySelectorAll("img"));
   var at = -1, angle = 0;
 
   function show() {
     var turn = at < 0 ? null : /lens at (-?[\d.]+)/.exec(views[at].dataset.says);
     var wanted = turn ? Number(turn[1]) : 0;
     angle += ((wanted - angle) % 360 + 360) % 360;
-    slab.classList.toggle("away", at < 0);
-    slab.style.setProperty("--turn", -angle + "deg");
+    lens.classList.toggle("away", at < 0);
+    lens.style.setProperty("--turn", -angle + "deg");
     views.forEach(function (view, k) { view.hidden = k !== Math.max(at, 0); });
     button.textContent = at < 0 ? "Lay the lens on the dots" : at + 1 < views.length ? "Turn the lens" : "Take it away";
     state.textContent = at < 0 ? "Only dots, so far." : views[at].dataset.says + ".";

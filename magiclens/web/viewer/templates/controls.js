@@ -1,4 +1,4 @@
-// Sliders, buttons, tabs, views.
+// Sliders, buttons, tabs and the list of views.
 
 function slider(into, label, low, high, step, get, set, text) {
   const box = document.createElement("label"), input = document.createElement("input"), output = document.createElement("output");
@@ -21,11 +21,11 @@ const ofPose = (key, label, low, high, text = inMm) =>
 const SLIDERS = [
   ofPose("x", "Lens right", -lens.size, 1.45 * lens.size), ofPose("y", "Lens up", -1.4 * lens.size, lens.size),
   ofPose("angle", "Lens turned left", -180, 180, inDegrees), ofPose("lift", "Lens lifted", 0, 0.6 * lens.size),
-  ofPose("eyeX", "Eye right", -0.75 * facts.distance, 0.75 * facts.distance), ofPose("eyeY", "Eye up", -0.75 * facts.distance, 0.75 * facts.distance),
-  ofPose("eyeDistance", "Eye away", 0.4 * facts.distance, 2 * facts.distance),
+  ofPose("eyeX", "Eye right", -0.75 * data.distance, 0.75 * data.distance), ofPose("eyeY", "Eye up", -0.75 * data.distance, 0.75 * data.distance),
+  ofPose("eyeDistance", "Eye away", 0.4 * data.distance, 2 * data.distance),
 ];
-const ofLook = (key, label, low, high, text) => slider(part("cuts"), label, low, high, 1, () => look[key], (value) => turnAbout({ [key]: value }), text);
-const CUTS = [ofLook("cut", "Section", 0, 100, (value) => (value >= 100 ? "whole" : `at ${value} %`)), ofLook("cutAngle", "Direction of the section", 0, 180, inDegrees)];
+const ofOrbit = (key, label, low, high, text) => slider(part("cuts"), label, low, high, 1, () => orbit[key], (value) => turnAbout({ [key]: value }), text);
+const CUTS = [ofOrbit("cut", "Section", 0, 100, (value) => (value >= 100 ? "whole" : `at ${value} %`)), ofOrbit("cutAngle", "Direction of the section", 0, 180, inDegrees)];
 
 function startAgain() {
   greeted = false;
@@ -50,9 +50,9 @@ function choose(name) {
 }
 
 function legend() {
-  look.coloring = Number(root.querySelector('[name="mlens-colors"]:checked').value);
-  part("legend").hidden = look.coloring === 0;
-  part("most").textContent = look.coloring === 1 ? `${lens.steepest.toFixed(0)}°` : `${solid.highestStep.toFixed(2)} mm`;
+  orbit.coloring = Number(root.querySelector('[name="mlens-colors"]:checked').value);
+  part("legend").hidden = orbit.coloring === 0;
+  part("most").textContent = orbit.coloring === 1 ? `${lens.steepest.toFixed(0)}°` : `${solid.highestStep.toFixed(2)} mm`;
   touch(true);
 }
 
@@ -71,11 +71,11 @@ function play() {
   part("play").textContent = "Stop";
 }
 
-function chips() {
-  part("film").hidden = !facts.film;
-  part("views").hidden = facts.film || views.length < 2;
+function listViews() {
+  part("film").hidden = !data.film;
+  part("views").hidden = data.film || views.length < 2;
   part("frames").max = views.length - 1;
-  if (facts.film || views.length < 2) return;
+  if (data.film || views.length < 2) return;
   views.forEach((view, index) => {
     const box = document.createElement("label"), input = document.createElement("input"), face = document.createElement("span"), picture = new Image();
     Object.assign(input, { type: "radio", name: "mlens-view", value: index, checked: index === 0 });
@@ -87,10 +87,10 @@ function chips() {
   });
 }
 
-function wire() {
+function addListeners() {
   canvas.addEventListener("pointerdown", press);
   for (const name of ["pointermove", "pointerup", "pointercancel"]) canvas.addEventListener(name, name === "pointermove" ? drag : release);
-  // a finger that holds something does not scroll the page; one on the bare table does
+  // a finger that holds the lens does not scroll the page; a finger on the bare table does
   canvas.addEventListener("touchstart", (event) => {
     const [finger] = event.changedTouches;
     if (tab === "solid" || grip || mover() === "eye" || onLens(fromEvent(finger))) event.preventDefault();
@@ -104,7 +104,7 @@ function wire() {
     canvas.setPointerCapture(event.pointerId);
   });
   canvas.addEventListener("keydown", keyed);
-  part("home").addEventListener("click", () => glide(designPose(current)));
+  part("home").addEventListener("click", () => glide(homePose(current)));
   part("aside").addEventListener("click", startAgain);
   part("play").addEventListener("click", play);
   part("frames").addEventListener("input", (event) => {
@@ -112,7 +112,7 @@ function wire() {
     show(Number(event.target.value), false);
   });
   part("turned").addEventListener("click", () => {
-    look = { ...firstLook(), coloring: look.coloring };
+    orbit = { ...startOrbit(), coloring: orbit.coloring };
     for (const cut of CUTS) cut.show();
     touch(true);
   });

@@ -1,4 +1,4 @@
-// Unpacks the lens: coefficients of polynomials, facet by facet, become the heights of all its vertices.
+// Unpacks the lens: the heights of all vertices from the coefficients of each facet, as packed by packing.py.
 
 function bytes(text) {
   const raw = atob(text);
@@ -12,8 +12,9 @@ async function inflated(packed) {
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
-// Orthonormal polynomials over k evenly spaced points, by Gram and Schmidt; row d has degree d.
-function polynomials(k) {
+// Polynomials over k evenly spaced points; row d has degree d. Gram-Schmidt step by step as in packing.py: at high
+// degrees another method would round differently, and heights would be wrong.
+function orthonormalPolynomials(k) {
   const rows = [];
   for (let degree = 0; degree < k; degree++) {
     const row = Float64Array.from({ length: k }, (_, i) => {
@@ -33,7 +34,7 @@ function polynomials(k) {
   return rows;
 }
 
-// Whole numbers whose four bytes lie apart; 0, 1, 2, 3, .. stand for 0, -1, 1, -2, ..
+// Whole numbers whose lowest bytes come first, then the second ones, and so on; 0, 1, 2, 3, .. mean 0, -1, 1, -2, ..
 function integers(content) {
   const count = content.length / 4, found = new Int32Array(count);
   for (let i = 0; i < count; i++) {
@@ -43,9 +44,10 @@ function integers(content) {
   return found;
 }
 
-// All heights on the grid's lines, rows from +y, as the w of the shaders; the rim goes on with the outer slope.
+// All heights on the grid lines, row 0 at +y, in the coordinate w of top.glsl. Around the facets there is one more line
+// on each side for the rim, which continues the slope of the outermost micro-facets.
 async function unpack(lens) {
-  const n = lens.facets, k = lens.microfacets + 1, side = n * k + 2, basis = polynomials(k);
+  const n = lens.facets, k = lens.microfacets + 1, side = n * k + 2, basis = orthonormalPolynomials(k);
   const coefficients = integers(await inflated(bytes(lens.heights)));
   const grid = new Float32Array(side * side), half = new Float64Array(k * k);
   for (let facet = 0; facet < n * n; facet++) {
@@ -67,6 +69,7 @@ async function unpack(lens) {
   }
   extend(grid, side, lens);
   const eyeDistance = lens.eye ? lens.eye[2] - lens.thickness : 0;
+  // a height h is a logarithm: exp(h / D) = 1 + w / D, D being the distance of the cutting eye
   if (lens.eye) for (let i = 0; i < grid.length; i++) grid[i] = eyeDistance * Math.expm1(grid[i] / eyeDistance);
   return { grid, side, perDistance: lens.eye ? 1 / eyeDistance : 0, ...extremes(grid, eyeDistance), ...steps(grid, side, n, k) };
 }
@@ -99,7 +102,7 @@ function extremes(grid, eyeDistance) {
   return { lowest: z(lowest), highest: z(most) };
 }
 
-// The step that only one in two hundred places on the facets' borders exceeds.
+// The step that only one in two hundred points on the borders of facets exceeds.
 function steps(grid, side, n, k) {
   const found = [];
   for (let facet = 1; facet < n; facet++) {

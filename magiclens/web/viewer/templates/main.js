@@ -1,4 +1,4 @@
-// From start to end. ``window.magiclens`` is for tests and for pages around the viewer.
+// Start of the viewer, and ``window.magiclens`` for tests and for pages around the viewer.
 
 async function decoded(uri) {
   const image = new Image();
@@ -9,7 +9,7 @@ async function decoded(uri) {
 
 async function begin() {
   const top = await unpack(lens);
-  images = await Promise.all(facts.sources.map(decoded));
+  images = await Promise.all(data.sources.map(decoded));
   heightTexture(gl, top);
   solid = Object.assign(solidPicture(gl, lens, top), { highestStep: top.highestStep });
   table = tablePicture(gl, lens, top);
@@ -31,8 +31,8 @@ async function open() {
   gl = canvas.getContext("webgl2", { alpha: false, antialias: true });
   if (!gl) throw new Error("this browser offers no WebGL2.");
   if (!("DecompressionStream" in window)) throw new Error("this browser cannot unpack the lens; a current one can.");
-  chips();
-  wire();
+  listViews();
+  addListeners();
   await begin();
   pose = clamped(asidePose());
   refresh(true);
@@ -43,7 +43,7 @@ const settled = () => new Promise((done) => {
   ask();
 });
 
-// The picture of the lens's own square at the present pose, as the built-in tracer defines it: linear light, row by row.
+// The picture of the lens's square at the current pose, as the built-in tracer defines it: linear light, row by row.
 function capture(size, samples = 3) {
   const view = lensView(pose, lens, size), { wood, lost } = colors();
   for (let k = 0; k < samples * samples; k++) table.add(view, pose, { wood, lost, sheen: 0 }, k, samples, true);
@@ -56,9 +56,9 @@ const ready = open();
 ready.catch(trouble);
 window.magiclens = {
   ready, settled, setPose, capture, show, pose: () => ({ ...pose }), view: () => current, views: views.map((view) => view.name),
-  atHome: () => findPlace(),
-  // where the lens's square belongs, in CSS pixels of the page's window
-  place: () => {
+  atHome: () => checkHome(),
+  // the square of the lens at home, in CSS pixels of the window
+  square: () => {
     const box = canvas.getBoundingClientRect(), h = lens.size / 2;
     const [[left, top], [right, bottom]] = [toScreen([-h, h]), toScreen([h, -h])];
     return { x: box.left + left, y: box.top + top, width: right - left, height: bottom - top };

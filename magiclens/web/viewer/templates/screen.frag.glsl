@@ -1,4 +1,4 @@
-// Linear light to what screens show.
+// From linear light to sRGB.
 out vec4 shown;
 uniform sampler2D light;
 uniform vec2 screen;

@@ -1,4 +1,5 @@
-in vec3 place, grid;
+// Light on the solid: glass or a colour scale on the top, hatching where the solid is cut open.
+in vec3 point, grid;
 flat in int top;
 out vec4 shown;
 uniform vec3 viewer, glass;
@@ -12,7 +13,7 @@ vec3 scale(float t) {
   return mix(mix(a, vec3(0.98, 0.83, 0.30), smoothstep(0.4, 0.8, t)), vec3(0.85, 0.24, 0.16), smoothstep(0.8, 1.0, t));
 }
 
-// The step across the border of facets that is nearest, mm, if it is near.
+// The step across the nearest border of facets, mm; ``nearness`` is 1 on the border and 0 away from it.
 float stepHere(out float nearness) {
   vec2 p = vec2(grid.x, -grid.y) + 0.5 * size, border = floor(p / pitch + 0.5), off = abs(p - border * pitch);
   bool upright = off.x < off.y;
@@ -26,9 +27,9 @@ float stepHere(out float nearness) {
 }
 
 void main() {
-  if (dot(section.xyz, place) > section.w) discard;
-  vec3 n = normalize(cross(dFdx(place), dFdy(place)));
-  vec3 toViewer = normalize(viewer - place);
+  if (dot(section.xyz, point) > section.w) discard;
+  vec3 n = normalize(cross(dFdx(point), dFdy(point)));
+  vec3 toViewer = normalize(viewer - point);
   if (dot(n, toViewer) < 0.0) n = -n;
   if (!gl_FrontFacing) {
     float hatch = 0.5 + 0.5 * sin((gl_FragCoord.x + gl_FragCoord.y) * 0.55);

@@ -1,9 +1,9 @@
-// The solid without vertex data: cells of the top, then its four sides, then the flat bottom. ``fine`` cells per facet.
+// The solid without vertex data: the cells of the top, then the four sides, then the flat bottom; ``fine`` cells a facet.
 uniform int fine;
 uniform mat4 camera;
 uniform float thickness;
 uniform vec4 base;
-out vec3 place, grid;
+out vec3 point, grid;
 flat out int top;
 
 int lineOf(int j) {
@@ -34,8 +34,8 @@ void main() {
     at = ivec2(1 - c.x, c.y) * cells;
   }
   grid = topPoint(at);
-  place = fromGrid(grid);
-  if (low) place = vec3(mix(base.xz, base.yw, (grid.xy + edge) / (2.0 * edge)), -thickness);
-  place.z += 0.5 * thickness;
-  gl_Position = camera * vec4(place, 1.0);
+  point = fromGrid(grid);
+  if (low) point = vec3(mix(base.xz, base.yw, (grid.xy + edge) / (2.0 * edge)), -thickness);
+  point.z += 0.5 * thickness;
+  gl_Position = camera * vec4(point, 1.0);
 }

@@ -1,34 +1,38 @@
-// What everything else shares: the page's parts, the lens's pose, how it is looked at.
+// State that all parts share: elements of the page, the pose of lens and eye, the orbit of the camera around the solid.
 
 const root = document.getElementById("mlens-viewer");
 const part = (name) => root.querySelector(`[data-part="${name}"]`);
-const facts = JSON.parse(part("facts").textContent);
-const { lens, views } = facts;
+const data = JSON.parse(part("data").textContent);
+const { lens, views } = data;
 const canvas = part("canvas"), stage = part("stage"), marks = part("marks");
-const calm = matchMedia("(prefers-reduced-motion: reduce)"), dark = matchMedia("(prefers-color-scheme: dark)");
+const reducedMotion = matchMedia("(prefers-reduced-motion: reduce)"), dark = matchMedia("(prefers-color-scheme: dark)");
 const COLORS = {
   light: { wood: [0.617, 0.527, 0.418], lost: [0.4, 0.47, 0.49], back: [0.855, 0.871, 0.896], glass: [0.4, 0.6, 0.66] },
   dark: { wood: [0.05, 0.046, 0.044], lost: [0.09, 0.11, 0.12], back: [0.014, 0.017, 0.022], glass: [0.3, 0.48, 0.54] },
 };
 const colors = () => (dark.matches ? COLORS.dark : COLORS.light);
 const between = (value, low, high) => Math.min(Math.max(value, low), high);
+// An angle in degrees, from -180 to 180.
 const folded = (angle) => angle - 360 * Math.round(angle / 360);
 const HALF = lens.size / 2 + lens.bleed;
+// Within these distances of its home, in mm and degrees, a lens that is dragged snaps into it.
 const NEAR = 0.05 * lens.size, NEAR_ANGLE = 15, NEAR_LIFT = 4;
+// Without a move for IDLE_MS the picture is refined; frames slower than SLOW_MS get fewer pixels.
 const IDLE_MS = 160, SLOW_MS = 45;
 
 let tab = "table", current = 0, gl = null, table = null, solid = null, images = [];
-let pose = designPose(0), look = firstLook(), found = false, greeted = false;
+let pose = homePose(0), orbit = startOrbit(), found = false, greeted = false;
 const seen = new Set();
 let added = 0, lastMove = -1e9, moved = true, coarse = 1, lastFrame = 0, asked = 0, gliding = 0, playing = 0;
 let waiting = [];
 
-function designPose(index) {
+// The home of a view: the pose in which its target appears.
+function homePose(index) {
   const view = views[index], [x, y, z] = view.eye;
   return { x: 0, y: 0, angle: view.rotation, lift: 0, eyeX: x, eyeY: y, eyeDistance: z - lens.thickness };
 }
 
-function firstLook() {
+function startOrbit() {
   return { around: -28, above: 38, far: 3.6, cut: 100, cutAngle: 90, coloring: 0 };
 }
 
@@ -36,5 +40,5 @@ const narrow = () => stage.clientWidth < stage.clientHeight;
 
 function asidePose() {
   const [x, y] = narrow() ? [0.08, -0.85] : [0.97, -0.06];
-  return { ...designPose(current), x: x * lens.size, y: y * lens.size, angle: views[current].rotation - 9 };
+  return { ...homePose(current), x: x * lens.size, y: y * lens.size, angle: views[current].rotation - 9 };
 }

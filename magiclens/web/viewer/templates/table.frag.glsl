@@ -1,5 +1,5 @@
-// What the eye sees of the table: through the lens, rays are traced as the built-in tracer does; z counts from the
-// reference plane, everything is in the lens's frame. One path per sample: where light splits, the stronger part goes on.
+// The table as the eye sees it. Through the lens, rays are traced as the built-in tracer does, in the lens's frame, z
+// counting from the reference plane. There is one path for each sample: where light splits, the stronger part goes on.
 out vec4 seen;
 uniform sampler2D source;
 uniform vec3 eye, origin, right, up;
@@ -13,6 +13,7 @@ uniform vec3 wood, lost;
 
 const int EVENTS = 8;
 
+// The share of unpolarised light that is not reflected (Fresnel); eta is the index behind the surface over that before.
 float transmittance(float cosine, float eta) {
   float k = 1.0 - (1.0 - cosine * cosine) / (eta * eta);
   if (k <= 0.0) return 0.0;
@@ -22,7 +23,7 @@ float transmittance(float cosine, float eta) {
   return 1.0 - 0.5 * (s * s + p * p);
 }
 
-// Where a segment enters the grid's square; 0 from within, 2 if it never does.
+// The fraction of a segment at which it enters the square of the grid: 0 if it starts inside, 2 if it never enters.
 float entry(vec3 a, vec3 b) {
   vec2 run = b.xy - a.xy;
   run = mix(run, vec2(1e-9), lessThan(abs(run), vec2(1e-9)));
@@ -32,8 +33,9 @@ float entry(vec3 a, vec3 b) {
   return first <= last ? first : 2.0;
 }
 
-// Follow a segment through the cells until it crosses the surface: its fraction there; 2 if it does not, 3 if it leaves
-// the grid. at: row, column, and 1 / 2 for the upper / lower triangle, which is left out of the first cell.
+// Follows a segment through the cells until it crosses the surface, and returns its fraction there: 2 if it does not, 3
+// if it leaves the grid. ``at`` is row, column, and 1 or 2 for the upper or lower triangle of the first cell, which is
+// left out because the ray starts on it; 0 for none.
 float march(vec3 a, vec3 b, inout ivec3 at, bool inside, out vec3 plane) {
   vec3 d = b - a;
   float here = 0.0, sense = inside ? 1.0 : -1.0;
@@ -72,14 +74,16 @@ float march(vec3 a, vec3 b, inout ivec3 at, bool inside, out vec3 plane) {
   return 2.0;
 }
 
+// From the frame of the lens to the world.
 vec2 world(vec2 p) { return pose.xy + vec2(pose.z * p.x - pose.w * p.y, pose.w * p.x + pose.z * p.y); }
 
+// The distance of p from a rectangle, negative inside.
 float box(vec2 p, vec2 extent) {
   vec2 q = abs(p) - extent;
   return length(max(q, 0.0)) + min(max(q.x, q.y), 0.0);
 }
 
-// The soft shadow of the slab on whatever lies below, its bottom ``gap`` above; p in the lens's frame.
+// The soft shadow of the lens on the table, its bottom ``gap`` above it; p in the lens's frame.
 float shade(vec2 p) {
   vec2 light = vec2(pose.z * 0.45 - pose.w * 0.6, -pose.w * 0.45 - pose.z * 0.6);
   float blur = 0.025 * size + 0.3 * gap, extent = 0.46 * size;
@@ -87,32 +91,32 @@ float shade(vec2 p) {
   return 1.0 - 0.3 * (1.0 - smoothstep(-blur, blur, near)) - 0.24 * (1.0 - smoothstep(-2.0 * blur, 3.0 * blur, far));
 }
 
-// The light of the table at p in the lens's frame: the source, the margin of its sheet, wood.
+// The light of the table at p in the lens's frame: the source, the white margin of its paper, wood.
 vec3 table(vec2 p, bool shaded) {
-  vec2 w = world(p), place = vec2(w.x, -w.y) / (2.0 * sourceHalf) + 0.5;
+  vec2 w = world(p), uv = vec2(w.x, -w.y) / (2.0 * sourceHalf) + 0.5;
   bool printed = max(abs(w.x), abs(w.y)) <= sourceHalf;
-  vec3 light = darkest + (1.0 - darkest) * textureLod(source, place, lod).rgb;
+  vec3 light = darkest + (1.0 - darkest) * textureLod(source, uv, lod).rgb;
   if (exact) return printed ? light : vec3(0.0);
-  float sheet = box(w, vec2(1.05 * sourceHalf));
+  float offPaper = box(w, vec2(1.05 * sourceHalf));
   float grain = 0.985 + 0.015 * sin(w.y * 0.9 + 2.0 * sin(w.x * 0.021) + sin(w.y * 0.17)) * sin(w.x * 0.013 + w.y * 0.31);
-  vec3 wooden = wood * grain * (1.0 - 0.3 * exp(-max(sheet, 0.0) / (0.03 * sourceHalf)));
-  vec3 color = printed ? light : mix(vec3(0.93), wooden, smoothstep(-0.1, 0.1, sheet));
+  vec3 wooden = wood * grain * (1.0 - 0.3 * exp(-max(offPaper, 0.0) / (0.03 * sourceHalf)));
+  vec3 color = printed ? light : mix(vec3(0.93), wooden, smoothstep(-0.1, 0.1, offPaper));
   return shaded ? color * shade(p) : color;
 }
 
-// Whither a bright window lies, in the lens's frame.
+// The direction to a bright window, in the lens's frame.
 vec3 toWindow() { return normalize(vec3(0.5 * pose.w - 0.42 * pose.z, 0.5 * pose.z + 0.42 * pose.w, 1.0)); }
 
-// What light sees that ends neither on the table nor on the source: a room that is brighter toward the window.
+// The light of the room, for rays that end neither on the table nor on the source; it is brighter toward the window.
 vec3 room(vec3 d) { return exact ? vec3(0.0) : lost * (1.0 + 1.1 * dot(d.xy, toWindow().xy)); }
 
-// What the glass mirrors: the window, and the room.
+// The light that the glass mirrors: the window and the room.
 float mirrored(vec3 d) {
   vec3 window = toWindow();
   return 9.0 * smoothstep(0.93, 0.985, dot(d, window)) + 0.8 * smoothstep(-0.2, 1.0, dot(d, window));
 }
 
-// Through the flat bottom and the gap.
+// The light that comes up through the gap and the flat bottom, for a ray that goes down.
 vec3 below(vec3 p, vec3 d, float weight) {
   weight *= transmittance(-d.z, 1.0 / ior);
   vec3 o = refract(d, vec3(0, 0, 1), ior);
@@ -121,6 +125,7 @@ vec3 below(vec3 p, vec3 d, float weight) {
   return weight * table(foot, false);
 }
 
+// The light on the ray from the eye through q; the fourth number is 0 where the ray misses the lens.
 vec4 follow(vec3 q) {
   vec3 d = normalize(q - eye);
   vec3 p = eye + d * (highest + 1e-3 - eye.z) / d.z;

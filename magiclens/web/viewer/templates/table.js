@@ -1,10 +1,11 @@
-// The table: the source, the lens upon it, an eye above. Pictures add up while nothing moves.
+// The table: the source, the lens on it, an eye above. While nothing moves, samples add up to a finer picture.
 
+// Samples a pixel along each axis.
 const SAMPLES = 4;
-// Samples stay off the walls between facets, which even pixels would else meet in whole rows.
+// Offset of the samples, in their widths. Without it, whole rows of pixels would hit the walls between facets.
 const OFF = [0.057, 0.083];
 
-// Where in its pixel the k-th sample lies, from the lower left, in samples' widths: on a turned grid, as the tracer's.
+// Position of the k-th sample in its pixel, from the lower left, in widths of a sample: a turned grid as in the tracer.
 function turnedGrid(k, samples) {
   const a = k % samples, b = Math.floor(k / samples);
   return [a + (samples - b - 0.5) / samples, b + (a + 0.5) / samples];
@@ -39,9 +40,10 @@ function tablePicture(gl, lens, top) {
     gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, light, 0);
   }
 
-  // One more sample for every pixel; ``view``: eye, lower left corner and pixel steps, all in the lens's frame.
+  // Adds one sample to each pixel. ``view`` is the eye, the lower left corner and the steps of a pixel in the lens's frame.
   function add(view, pose, colors, index, samples, exact) {
     const { width, height } = view, count = samples * samples, turned = (pose.angle * Math.PI) / 180;
+    // 7 and 16 have no common divisor, so each sample comes once, and the first few are spread over the pixel
     const k = count === 16 ? (index * 7) % 16 : index;
     const blurred = Math.log2(Math.max(perMm * view.perPixel, 1));
     resize(width, height);
@@ -56,7 +58,7 @@ function tablePicture(gl, lens, top) {
       ior: lens.ior, sourceHalf: lens.source_size / 2, darkest: lens.darkest, exact: whole(exact ? 1 : 0),
       lod: count === 1 ? blurred : Math.max(blurred - Math.log2(samples), 0) * (exact ? 0 : 1), ...colors,
       pose: [pose.x, pose.y, Math.cos(turned), Math.sin(turned)], eye: view.eye, origin: view.origin, right: view.right, up: view.up,
-      jitter: turnedGrid(k, samples).map((place, axis) => (place + (exact ? 0 : OFF[axis])) / samples),
+      jitter: turnedGrid(k, samples).map((position, axis) => (position + (exact ? 0 : OFF[axis])) / samples),
     });
     gl.drawArrays(gl.TRIANGLES, 0, 3);
     gl.disable(gl.BLEND);
@@ -70,8 +72,8 @@ function tablePicture(gl, lens, top) {
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 
-  // (height, width, 3) linear light, first row on top.
-  function light3(width, height) {
+  // The picture (height, width, 3) in linear light, first row on top.
+  function readLight(width, height) {
     const all = new Float32Array(width * height * 4), found = [];
     gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
     gl.readPixels(0, 0, width, height, gl.RGBA, gl.FLOAT, all);
@@ -81,10 +83,10 @@ function tablePicture(gl, lens, top) {
     return found;
   }
 
-  return { lay, add, present, light: light3, most: fine ? SAMPLES * SAMPLES : 1 };
+  return { lay, add, present, light: readLight, most: fine ? SAMPLES * SAMPLES : 1 };
 }
 
-// World to lens: the lens turned back, its own place the origin; z from the lens's reference plane.
+// From the world to the frame of the lens: the origin is its centre, z counts from its reference plane.
 function toLens(pose, lens, [x, y, z], isPoint = true) {
   const turned = (pose.angle * Math.PI) / 180, c = Math.cos(turned), s = Math.sin(turned);
   const [dx, dy, dz] = isPoint ? [x - pose.x, y - pose.y, z - lens.thickness - pose.lift] : [x, y, z];
@@ -93,7 +95,7 @@ function toLens(pose, lens, [x, y, z], isPoint = true) {
 
 const eyeOf = (pose, lens) => [pose.eyeX, pose.eyeY, lens.thickness + pose.eyeDistance];
 
-// The table as it lies before the viewer: pixels are even on the plane on which the lens's top belongs.
+// The view of the whole table: pixels have equal size on the plane of the lens's top at home.
 function tableView(pose, lens, width, height, perPixel, middle) {
   const corner = [middle[0] - (width / 2) * perPixel, middle[1] - (height / 2) * perPixel, lens.thickness];
   return {
@@ -102,7 +104,7 @@ function tableView(pose, lens, width, height, perPixel, middle) {
   };
 }
 
-// The lens's own square and nothing else, whatever its pose.
+// The view of the lens's square alone, at any pose.
 function lensView(pose, lens, size) {
   const perPixel = lens.size / size;
   return {

@@ -1,6 +1,7 @@
-// The lens's top: a grid of heights over the reference plane, in coordinates (u, v, w) in which its cells are upright.
-// (u, v) is where the line from the cutting eye through a point meets the reference plane; w = z / (1 - z / D), z counted
-// from that plane and D the cutting eye's distance from it (1 / D = 0 if cells are vertical). Lines stay straight.
+// The top of the lens: a grid of heights over the reference plane, in coordinates (u, v, w) in which its cells are upright.
+// (u, v) is where the line from the cutting eye through a point meets the reference plane. w = z / (1 - z / D), where z
+// counts from that plane and D is the cutting eye's distance from it (1 / D = 0 if cells are vertical). In these
+// coordinates straight lines stay straight.
 uniform sampler2D heights;
 uniform int facets, micro;
 uniform float pitch, side, size, edge;

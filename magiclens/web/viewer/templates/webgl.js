@@ -1,7 +1,8 @@
-// The little that both pictures need of WebGL2.
+// Helpers around WebGL2, for the table and the solid.
 
 const HEAD = "#version 300 es\nprecision highp float;\nprecision highp int;\nprecision highp sampler2D;\n";
 
+// Compiles a program; returns a function that makes it current and sets its uniforms by name.
 function program(gl, vertex, fragment) {
   const made = gl.createProgram();
   for (const [kind, text] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
@@ -13,24 +14,24 @@ function program(gl, vertex, fragment) {
   }
   gl.linkProgram(made);
   if (!gl.getProgramParameter(made, gl.LINK_STATUS) && !gl.isContextLost()) throw new Error(gl.getProgramInfoLog(made));
-  const places = {};
+  const locations = {};
   return (values) => {
     gl.useProgram(made);
     for (const [name, value] of Object.entries(values)) {
-      if (!(name in places)) places[name] = gl.getUniformLocation(made, name);
-      give(gl, places[name], value);
+      if (!(name in locations)) locations[name] = gl.getUniformLocation(made, name);
+      setUniform(gl, locations[name], value);
     }
   };
 }
 
-// Whole numbers are wrapped in ``whole``; lists are vectors, lists of 16 matrices.
+// A plain number is a float, a list a vector or (16 numbers) a matrix; an int or a sampler is wrapped in ``whole``.
 const whole = (value) => ({ whole: value });
 
-function give(gl, place, value) {
-  if (typeof value === "number") gl.uniform1f(place, value);
-  else if (value.whole !== undefined) gl.uniform1i(place, value.whole);
-  else if (value.length === 16) gl.uniformMatrix4fv(place, false, value);
-  else gl[`uniform${value.length}fv`](place, value);
+function setUniform(gl, location, value) {
+  if (typeof value === "number") gl.uniform1f(location, value);
+  else if (value.whole !== undefined) gl.uniform1i(location, value.whole);
+  else if (value.length === 16) gl.uniformMatrix4fv(location, false, value);
+  else gl[`uniform${value.length}fv`](location, value);
 }
 
 function texture(gl, unit, settings) {

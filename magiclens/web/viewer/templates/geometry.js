@@ -1,9 +1,9 @@
-// Where things lie on the screen, where the lens belongs, and how that is said.
+// Positions on the screen, the distance of the lens from its home, and both in words.
 
 function region() {
   const w = stage.clientWidth || 600, h = stage.clientHeight || 400;
   const [wanted, middle] = narrow() ? [[1.5, 2.1], [0, -0.385]] : [[2.35, 1.5], [0.42, 0]];
-  // the lens's place begins and ends between pixels, so that no pixel there straddles two facets
+  // the square of the lens at home begins and ends between pixels, so that no pixel straddles two facets
   const across = Math.floor(Math.min(w / wanted[0], h / wanted[1])), mm = lens.size / across;
   const corner = [w, h].map((pixels, k) => Math.round(pixels / 2 - (0.5 + (k ? -1 : 1) * middle[k]) * across));
   return { w, h, mm, middle: [(w / 2 - corner[0] - across / 2) * mm, (corner[1] + across / 2 - h / 2) * mm] };
@@ -19,7 +19,7 @@ function fromEvent(event) {
   return [(event.clientX - box.left - w / 2) * mm + middle[0], (h / 2 - (event.clientY - box.top)) * mm + middle[1]];
 }
 
-// A point of the lens's top, in its own frame, as the eye sees it on the plane on which the top belongs.
+// Where the eye sees a point of the lens's top, given in the lens's frame, on the plane of the top at home.
 function seenAt(at, [x, y]) {
   const turned = (at.angle * Math.PI) / 180, c = Math.cos(turned), s = Math.sin(turned);
   const scale = at.eyeDistance / (at.eyeDistance - at.lift);
@@ -42,7 +42,7 @@ function onLens(point) {
 
 function drawMarks() {
   const { mm } = region(), [rim, handle] = [marks.querySelector(".mlens-rim path"), marks.querySelector(".mlens-handle")];
-  marks.querySelector(".mlens-outline path").setAttribute("d", outline(designPose(current), 1.2 * mm));
+  marks.querySelector(".mlens-outline path").setAttribute("d", outline(homePose(current), 1.2 * mm));
   rim.setAttribute("d", outline(pose, 1.2 * mm));
   const [foot, knob] = [HALF + 0.035 * lens.size, HALF + 0.1 * lens.size].map((y) => toScreen(seenAt(pose, [0, y])));
   const line = handle.querySelector("line");
@@ -51,56 +51,59 @@ function drawMarks() {
   stage.classList.toggle("mlens-found", found);
 }
 
-// ---- where the lens belongs
+// ---- the distance from home
 
-// Whether a view has the source and the eye of the present one.
-function like(view) {
+// Whether a view has the same source and eye as the current one.
+function isAlike(view) {
   return view.source === views[current].source && view.eye.every((c, k) => Math.abs(c - views[current].eye[k]) < 1e-6);
 }
 
-// Of such views, the one whose place the lens is nearest to, and how far it is from there.
-function nearest(at) {
+// Of these views the one whose home is nearest, by turning first, and how far the lens is from it.
+function nearestHome(at) {
   return views
-    .map((view, index) => ({ index, off: Math.hypot(at.x, at.y), turn: Math.abs(folded(at.angle - view.rotation)), fits: like(view) }))
-    .filter((place) => place.fits)
+    .map((view, index) => ({ index, off: Math.hypot(at.x, at.y), turn: Math.abs(folded(at.angle - view.rotation)), fits: isAlike(view) }))
+    .filter((home) => home.fits)
     .sort((a, b) => a.turn - b.turn || (a.index === current ? -1 : 0))[0];
 }
 
-const far = (at) => {
-  const { off, turn } = nearest(at);
+// How far the lens is from the nearest home, as one number.
+const awayFromHome = (at) => {
+  const { off, turn } = nearestHome(at);
   return off / lens.size + turn / 90 + Math.abs(at.lift) / lens.size;
 };
 
+// The pose, or the nearest home if that is within these distances.
 function snapped(at, within, turn, lift) {
-  const place = nearest(at);
-  if (place.off > within || place.turn > turn || at.lift > lift) return at;
-  current = place.index;
+  const near = nearestHome(at);
+  if (near.off > within || near.turn > turn || at.lift > lift) return at;
+  current = near.index;
   return { ...at, x: 0, y: 0, angle: at.angle - folded(at.angle - views[current].rotation), lift: 0 };
 }
 
-function findPlace() {
-  const home = designPose(current), place = nearest(pose);
+// Whether lens and eye are at home; marks the view as seen if the lens is.
+function checkHome() {
+  const home = homePose(current), near = nearestHome(pose);
   const eyeOff = Math.hypot(pose.eyeX - home.eyeX, pose.eyeY - home.eyeY, pose.eyeDistance - home.eyeDistance);
-  found = place.off < 0.01 && place.turn < 0.01 && pose.lift < 0.01;
+  found = near.off < 0.01 && near.turn < 0.01 && pose.lift < 0.01;
   if (found) {
-    current = place.index;
+    current = near.index;
     seen.add(current);
   }
   return found && eyeOff < 0.01;
 }
 
-// ---- words
+// ---- in words
 
-const words = (value, plus, minus) => (Math.abs(value) < 0.05 ? "" : `${Math.abs(value).toFixed(1).replace(/\.0$/, "")} mm ${value > 0 ? plus : minus}`);
+const inWords = (value, plus, minus) => (Math.abs(value) < 0.05 ? "" : `${Math.abs(value).toFixed(1).replace(/\.0$/, "")} mm ${value > 0 ? plus : minus}`);
 const listed = (items, otherwise) => items.filter(Boolean).join(", ") || otherwise;
 
 function described(atHome) {
   const turn = folded(pose.angle);
-  const place = listed([words(pose.x, "right", "left"), words(pose.y, "up", "down"), words(pose.lift, "lifted", "lowered"),
+  const position = listed([inWords(pose.x, "right", "left"), inWords(pose.y, "up", "down"), inWords(pose.lift, "lifted", "lowered"),
     Math.abs(turn) > 0.05 && `turned ${Math.abs(turn).toFixed(0)}° ${turn > 0 ? "left" : "right"}`], "in the middle");
-  const eye = listed([words(pose.eyeX, "right", "left"), words(pose.eyeY, "up", "down")], "straight above");
+  const eye = listed([inWords(pose.eyeX, "right", "left"), inWords(pose.eyeY, "up", "down")], "straight above");
   if (atHome) return `In place: ${views[current].label}.`;
-  const first = found ? `In place for ${views[current].label}, but seen from elsewhere` : `Lens ${place}`;
+  const first = found ? `In place for ${views[current].label}, but seen from elsewhere` : `Lens ${position}`;
   return `${first}. Eye ${eye}, ${pose.eyeDistance.toFixed(0)} mm away.`;
 }
 
@@ -111,7 +114,7 @@ function say(text) {
 }
 
 function hint() {
-  const others = views.some((view, k) => k !== current && view.rotation !== views[current].rotation && like(view));
+  const others = views.some((view, k) => k !== current && view.rotation !== views[current].rotation && isAlike(view));
   if (found) return greeted && others && seen.size === 1 ? "Now turn it: there is more to see" : "";
   return greeted ? "" : "Drag the lens onto the outline";
 }

@@ -1,4 +1,4 @@
-"""What the viewer's script is told of a run: the lens, its views and sources, small enough for a page."""
+"""The data of the viewer's script: the lens, its views and its sources, small enough for a page."""
 
 from __future__ import annotations
 
@@ -14,61 +14,68 @@ from magiclens.contract.artifacts import FloatArray, HeightField, Lens, View
 from magiclens.running.folder import load_heights
 from magiclens.running.manifest import source_path, target_path
 from magiclens.running.open_run import OpenRun
-from magiclens.web.viewer.packing import pack
-from magiclens.web.viewer.pictures import fitting, small
+from magiclens.web.viewer.packing import pack_heights
+from magiclens.web.viewer.pictures import picture_uri_within, thumbnail_uri
 
 MOST_BYTES = 2_200_000
-"""Of a fragment. A page with other pictures around it stays below 3 MB."""
-
-PROGRAM_BYTES = 130_000
-"""Set aside for markup, style, script, small pictures; in characters."""
-LENS_BYTES = 700_000
+"""Greatest length of a fragment; a page with other pictures around it stays below 3 MB."""
 LANDING_MM = 0.0025
-"""By root mean square: how far from its place on the source rounded heights let light land, if ``LENS_BYTES`` allow."""
-LEAST_SOURCE_BYTES = 100_000
-"""Below this a source loses too much: rather leave frames out."""
-CHIP = 40
-"""Pixels of a target in the list of views."""
+"""Root mean square by which rounding the heights moves the points on the source that are seen, mm.
+
+It is larger if ``_HEIGHTS_BYTES`` are too few."""
+_PROGRAM_BYTES = 130_000
+"""Bytes that markup, style, script and thumbnails take, at most."""
+_HEIGHTS_BYTES = 700_000
+"""Most bytes of the packed heights."""
+_LEAST_SOURCE_BYTES = 100_000
+"""Fewest bytes of a source: below this a source loses too much, and frames are left out instead."""
+_THUMBNAIL_SIDE = 40
+"""Width and height of a target in the list of views, pixels."""
 MOST_CHOICES = 4
-"""More sources than this are frames of a film."""
+"""Most sources of a list of views; more are frames of a film."""
 
 
-def facts(lens: OpenRun) -> dict[str, Any]:
-    """Everything the script needs, ready for JSON. Raises InputError if the folder has no heights."""
+def viewer_data(lens: OpenRun) -> dict[str, Any]:
+    """Everything that the script needs, ready for JSON.
+
+    Raises:
+        InputError: The folder has no heights.
+    """
     heights = load_heights(lens.folder)
-    packed = pack(heights, _finest_mm(lens.plan.lens), LENS_BYTES)
-    room = (MOST_BYTES - PROGRAM_BYTES) * 3 // 4 - len(packed.content)
-    views = _kept(lens.scene.views, room // LEAST_SOURCE_BYTES)
+    packed = pack_heights(heights, finest_step_mm(lens.plan.lens), _HEIGHTS_BYTES)
+    # base64 takes four characters for three bytes
+    room = (MOST_BYTES - _PROGRAM_BYTES) * 3 // 4 - len(packed.content)
+    views = keep_views(lens.scene.views, room // _LEAST_SOURCE_BYTES)
     sources = list(dict.fromkeys(source_path(view) for view in views))
     medium, film = lens.plan.spec.medium, len(sources) > MOST_CHOICES
-    glass = {
+    lens_data = {
         "heights": base64.b64encode(packed.content).decode(),
         "step": packed.step,
         "darkest": medium.black / medium.white if medium else 0.0,
         "steepest": max(_steepest_deg(heights, lens.plan.lens), 1.0),
-        **_lens(lens.plan.lens, lens.scene.cut_eye_mm),
+        **_lens_data(lens.plan.lens, lens.scene.cut_eye_mm),
     }
     return {
-        "lens": glass,
+        "lens": lens_data,
         "distance": float(np.mean([view.eye_mm[2] for view in views])) - lens.plan.lens.thickness_mm,
-        "sources": [fitting(lens.folder / path, room // len(sources)) for path in sources],
+        "sources": [picture_uri_within(lens.folder / path, room // len(sources)) for path in sources],
         "film": film,
         "dropped": len(lens.scene.views) - len(views),
-        "views": [_view(view, sources, None if film else lens.folder) for view in views],
+        "views": [_view_data(view, sources, None if film else lens.folder) for view in views],
     }
 
 
-def _finest_mm(lens: Lens) -> float:
-    """The step of rounded coefficients that moves landing points by ``LANDING_MM``.
+def finest_step_mm(lens: Lens) -> float:
+    """The step of rounded coefficients, mm, that moves the points seen on the source by ``LANDING_MM``.
 
-    It moves every height by step / sqrt(12), a micro-facet's slope by sqrt(2) of that per its width, and a slope's
-    light by the way that it has to go, times the index of refraction less one.
+    Rounding moves each height by step / sqrt(12), and the slope of a micro-facet by sqrt(2) of that over its width. The
+    slope turns the ray by itself times the index of refraction less one, and the ray goes on to the source.
     """
     width = (lens.pitch_mm - lens.wall_mm) / lens.microfacets
     return LANDING_MM * width * math.sqrt(6) / ((lens.ior - 1) * (lens.thickness_mm / lens.ior + lens.gap_mm))
 
 
-def _kept(views: tuple[View, ...], most_sources: int) -> list[View]:
+def keep_views(views: tuple[View, ...], most_sources: int) -> list[View]:
     """The views of at most so many sources, evenly chosen."""
     sources = list(dict.fromkeys(view.source_name for view in views))
     most = max(most_sources, 1)
@@ -77,20 +84,20 @@ def _kept(views: tuple[View, ...], most_sources: int) -> list[View]:
     return [view for view in views if view.source_name in sources]
 
 
-def _view(view: View, sources: list[str], folder: Path | None) -> dict[str, Any]:
-    """With a small picture of its target from the run folder, unless it is a frame of a film."""
+def _view_data(view: View, sources: list[str], folder: Path | None) -> dict[str, Any]:
+    """A view with a thumbnail of its target; without one if it is a frame of a film, which has no ``folder``."""
     return {
         "name": view.name,
         "label": view.name.replace("-", " "),
         "eye": [float(x) for x in view.eye_mm],
         "rotation": view.rotation_deg,
         "source": sources.index(source_path(view)),
-        "target": small(folder / target_path(view), CHIP) if folder else "",
+        "target": thumbnail_uri(folder / target_path(view), _THUMBNAIL_SIDE) if folder else "",
     }
 
 
-def _lens(lens: Lens, eye: FloatArray | None) -> dict[str, Any]:
-    """Lengths in mm; ``base``: lowest and highest x, then y, of the flat bottom."""
+def _lens_data(lens: Lens, eye: FloatArray | None) -> dict[str, Any]:
+    """Lengths in mm; ``base`` is the lowest and highest x, then y, of the flat bottom."""
     return {
         "facets": lens.facets, "microfacets": lens.microfacets, "size": lens.size_mm, "pitch": lens.pitch_mm,
         "wall": lens.wall_mm, "bleed": lens.bleed_mm, "relief": lens.relief_mm, "thickness": lens.thickness_mm,
@@ -110,7 +117,7 @@ def _base(lens: Lens, eye: FloatArray | None) -> list[float]:
 
 
 def _steepest_deg(heights: FloatArray, lens: Lens) -> float:
-    """The slope, degrees, that only one micro-facet in two hundred exceeds; in the reference plane's measure."""
+    """The slope, degrees, that only one micro-facet in two hundred exceeds; measured over the reference plane."""
     width = (lens.pitch_mm - lens.wall_mm) / lens.microfacets
     across, down = np.diff(heights, axis=3)[:, :, :-1], np.diff(heights, axis=2)[..., :-1]
     return float(np.degrees(np.arctan(np.percentile(np.hypot(across, down) / width, 99.5))))

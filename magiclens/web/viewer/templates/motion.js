@@ -1,11 +1,12 @@
-// What changes the pose, and the loop that draws it.
+// Changes of the pose, and the loop that draws.
 
+// The pose within what can still be seen and reached.
 function clamped(at) {
   const half = lens.size, reach = 0.75 * at.eyeDistance;
   return {
     x: between(at.x, -half, 1.45 * half), y: between(at.y, -1.4 * half, half), angle: at.angle, lift: between(at.lift, 0, 0.6 * lens.size),
     eyeX: between(at.eyeX, -reach, reach), eyeY: between(at.eyeY, -reach, reach),
-    eyeDistance: between(at.eyeDistance, 0.4 * facts.distance, 2 * facts.distance),
+    eyeDistance: between(at.eyeDistance, 0.4 * data.distance, 2 * data.distance),
   };
 }
 
@@ -15,7 +16,7 @@ function setPose(change) {
 }
 
 function refresh(still = false) {
-  const atHome = findPlace();
+  const atHome = checkHome();
   drawMarks();
   part("hint").textContent = hint();
   say(described(atHome));
@@ -38,11 +39,12 @@ function ask() {
   if (!asked) asked = requestAnimationFrame(frame);
 }
 
+// Moves lens and eye to a pose in 0.6 s, or at once if the user wants no motion.
 function glide(to) {
   cancelAnimationFrame(gliding);
   const from = { ...pose }, start = performance.now(), last = { ...to, angle: from.angle + folded(to.angle - from.angle) };
   gliding = 0;
-  if (calm.matches) return setPose(last);
+  if (reducedMotion.matches) return setPose(last);
   const step = (now) => {
     const t = between((now - start) / 600, 0, 1), eased = t * t * (3 - 2 * t);
     gliding = t < 1 ? requestAnimationFrame(step) : 0;
@@ -55,11 +57,11 @@ function show(index, move = true) {
   const other = views[index].source !== views[current].source;
   current = index;
   if (other) table?.lay(images[views[index].source]);
-  if (move) glide(designPose(index));
+  if (move) glide(homePose(index));
   else refresh(true);
 }
 
-// ---- the loop
+// ---- drawing
 
 function pixels(scale) {
   const ratio = Math.min(devicePixelRatio || 1, 2) * scale;
@@ -82,7 +84,7 @@ function frame(now) {
   asked = 0;
   if (!table || gl.isContextLost() || !canvas.clientWidth) return;
   if (tab === "solid") {
-    solid(look, canvas.width, canvas.height, colors());
+    solid(orbit, canvas.width, canvas.height, colors());
     return rest();
   }
   const moving = now - lastMove < IDLE_MS;
@@ -90,7 +92,7 @@ function frame(now) {
   if (moving) hurry(now);
   lastFrame = now;
   const [width, height] = pixels(moving ? coarse : 1), { mm, w, middle } = region();
-  const { wood, lost } = colors(), sheen = between(6 * far(pose), 0, 1);
+  const { wood, lost } = colors(), sheen = between(6 * awayFromHome(pose), 0, 1);
   const samples = moving || table.most === 1 ? 1 : SAMPLES;
   if (added === 0 || !moving) table.add(tableView(pose, lens, width, height, (mm * w) / width, middle), pose, { wood, lost, sheen }, added, samples, false);
   table.present(canvas.width, canvas.height);
@@ -100,13 +102,14 @@ function frame(now) {
   else rest();
 }
 
-// While things move, slow machines get fewer pixels.
+// While something moves, slow machines draw fewer pixels.
 function hurry(now) {
   const spent = now - lastFrame;
   if (spent > 500) return;
   coarse = between(coarse * (spent > SLOW_MS ? 0.85 : spent < SLOW_MS / 2 ? 1.08 : 1), 0.35, 1);
 }
 
+// Called when the picture is finished; resolves the promises of ``settled``.
 function rest() {
   if (gliding || playing) return;
   for (const done of waiting) done();

@@ -1,11 +1,11 @@
-// The pointer and the keyboard.
+// Pointer and keyboard.
 
 const held = new Map();
 let grip = null;
 
 function grab(kind, event) {
   const start = [...held.values()].map((p) => p.at);
-  grip = { kind, start, raw: { ...pose }, look: { ...look }, id: event.pointerId };
+  grip = { kind, start, raw: { ...pose }, orbit: { ...orbit }, id: event.pointerId };
 }
 
 const mover = () => root.querySelector('[name="mlens-mover"]:checked').value;
@@ -38,7 +38,7 @@ function drag(event) {
     setPose({ eyeX: raw.eyeX + 3 * (x - x0), eyeY: raw.eyeY + 3 * (y - y0) });
   } else if (grip.kind === "orbit") {
     const { mm } = region();
-    turnAbout({ around: grip.look.around - (0.5 * (x - x0)) / mm, above: grip.look.above - (0.4 * (y - y0)) / mm });
+    turnAbout({ around: grip.orbit.around - (0.5 * (x - x0)) / mm, above: grip.orbit.above - (0.4 * (y - y0)) / mm });
   } else pinch(now, raw);
 }
 
@@ -47,7 +47,7 @@ function pinch(now, raw) {
   if (now.length < 2 || grip.start.length < 2) return;
   const across = ([a, b]) => [b[0] - a[0], b[1] - a[1]], [before, after] = [across(grip.start), across(now)];
   const ratio = Math.hypot(...after) / Math.max(Math.hypot(...before), 1);
-  if (grip.kind === "near") return turnAbout({ far: grip.look.far / Math.max(ratio, 0.1) });
+  if (grip.kind === "near") return turnAbout({ far: grip.orbit.far / Math.max(ratio, 0.1) });
   const turn = ((Math.atan2(after[1], after[0]) - Math.atan2(before[1], before[0])) * 180) / Math.PI;
   settle({ ...raw, angle: raw.angle + folded(turn), lift: raw.lift + (ratio - 1) * 0.4 * lens.size });
 }
@@ -57,7 +57,7 @@ function settle(raw) {
   greet();
 }
 
-// Who has found the place once needs no hint.
+// A user who has brought the lens home once needs no hint.
 function greet() {
   greeted = greeted || found;
   part("hint").textContent = hint();
@@ -70,9 +70,9 @@ function release(event) {
 }
 
 function turnAbout(change) {
-  look = { ...look, ...change };
-  look.above = between(look.above, -89, 89);
-  look.far = between(look.far, 1.6, 9);
+  orbit = { ...orbit, ...change };
+  orbit.above = between(orbit.above, -89, 89);
+  orbit.far = between(orbit.far, 1.6, 9);
   touch(true);
 }
 
@@ -95,24 +95,24 @@ function keyedTable(event) {
   else if (arrow) nudge({ x: pose.x + big * arrow[0], y: pose.y + big * arrow[1] });
   else if (key === "q" || key === "e") nudge({ angle: pose.angle + (key === "q" ? big : -big) });
   else if ("+=-_".includes(key)) nudge({ lift: Math.max(pose.lift + ("+=".includes(key) ? big : -big), 0) });
-  else if (key === "enter") glide(designPose(current));
+  else if (key === "enter") glide(homePose(current));
   else if (key === "r" || key === "home") startAgain();
   else return false;
   return true;
 }
 
-// A step of the keyboard that comes nearer to the lens's place may end in it; one that leaves may not.
+// A step of the keyboard snaps into a home only if it comes nearer; otherwise the lens could never leave.
 function nudge(change) {
   const next = { ...pose, ...change };
-  setPose(far(next) < far(pose) ? snapped(next, 1.5, 3, 1.5) : next);
+  setPose(awayFromHome(next) < awayFromHome(pose) ? snapped(next, 1.5, 3, 1.5) : next);
   greet();
 }
 
 function keyedSolid(event) {
   const arrow = ARROWS[event.key], big = event.shiftKey ? 15 : 5;
-  if (arrow) turnAbout({ around: look.around - big * arrow[0], above: look.above - big * arrow[1] });
-  else if ("+=".includes(event.key)) turnAbout({ far: look.far / 1.1 });
-  else if ("-_".includes(event.key)) turnAbout({ far: look.far * 1.1 });
+  if (arrow) turnAbout({ around: orbit.around - big * arrow[0], above: orbit.above - big * arrow[1] });
+  else if ("+=".includes(event.key)) turnAbout({ far: orbit.far / 1.1 });
+  else if ("-_".includes(event.key)) turnAbout({ far: orbit.far * 1.1 });
   else return false;
   return true;
 }
