@@ -31,7 +31,7 @@ from magiclens.drawing.tiles import PAPER_COLOUR, TEXT_LINE, TICK_WIDTH, TILE_GA
 from magiclens.geometry.facets import central_slopes, patches_seen
 from magiclens.plan.compile import load_plan
 from magiclens.plan.registry import Plugin, Registry
-from magiclens.report.tables import measure, metric_rows
+from magiclens.report.tables import format_metric, metric_rows
 from magiclens.report.write import write_report
 from magiclens.running.pipeline import run_plan
 from scenes import (
@@ -474,7 +474,7 @@ def test_metrics_have_plain_names_and_units() -> None:
         ("Bodies", "1"),
         ("My gap", "1.25 mm"),
     ]
-    assert (measure("watertight", 0.0), measure("other", None), measure("volume_mm3", 1e5)) == (
+    assert (format_metric("watertight", 0.0), format_metric("other", None), format_metric("volume_mm3", 1e5)) == (
         "no",
         "not a number",
         "100 cm³",

@@ -23,8 +23,8 @@ class PackedHeights:
 
     ``content`` holds whole numbers (k, k, N, N), zlib-compressed. 0, -1, 1, -2, .. are written as 0, 1, 2, 3, .. in
     four bytes each: first the lowest bytes of all numbers, then the second ones, and so on. Times ``step``, mm, the
-    numbers are the coefficients [p, q] of orthonormal polynomials over the k grid lines of a facet: of degree p from the
-    top row down, and of degree q from left to right.
+    numbers are the coefficients [p, q] of orthonormal polynomials over the k grid lines of a facet: of degree p from
+    the top row down, and of degree q from left to right.
     """
 
     content: bytes
