@@ -13,7 +13,6 @@ from urllib.parse import unquote
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from PIL import Image
 from playwright.sync_api import Browser, Page
 from typer.testing import CliRunner
 
@@ -61,7 +60,7 @@ name: x   # <comment>
 
 ## Part two
 
-![Where the picture differs](run:first/figures/error.png "A caption")
+![Where the picture differs](run:first/renders/tracer/rotation-000.png "A caption")
 ![A ray](drawing:refraction)
 """
 SMALL = [
@@ -76,10 +75,8 @@ Build = Callable[..., Any]
 
 @pytest.fixture
 def build(tmp_path: Path, registry: Registry, monkeypatch: pytest.MonkeyPatch) -> Build:
-    """Builds the gallery of two toy lenses; ``made`` collects which were run."""
+    """Builds the gallery of two toy lenses."""
     monkeypatch.setattr(Registry, "load", lambda: registry)
-    monkeypatch.setattr("magiclens.report.write.write_report", _report)
-    monkeypatch.setattr("magiclens.web.gallery.build.reference", lambda *_: [])
     for name, text in (("gallery.yaml", LIST), ("toy.yaml", SPEC), ("page.md", PAGE)):
         (tmp_path / name).write_text(text, encoding="utf-8")
 
@@ -88,12 +85,6 @@ def build(tmp_path: Path, registry: Registry, monkeypatch: pytest.MonkeyPatch) -
         return CliRunner().invoke(app, [*words, *options])
 
     return run
-
-
-def _report(data: Any, folder: Path) -> None:
-    """A report of one figure."""
-    (folder / "figures").mkdir()
-    Image.new("RGB", (40, 30)).save(folder / "figures" / "error.png")
 
 
 def test_a_gallery_has_a_page_for_every_lens_and_every_document(build: Build, tmp_path: Path) -> None:
@@ -230,7 +221,7 @@ def test_mistakes_in_the_list_are_named(build: Build, tmp_path: Path, old: str, 
         ("(toy.yaml)", "(tou.yaml)", "page.md:3: broken link: there is no file"),
         ("drawing:refraction", "drawing:refractoin", "unknown drawing 'refractoin'; did you mean 'refraction'?"),
         ("run:first/", "run:frist/", "unknown lens 'frist'; did you mean 'first'?"),
-        ("figures/error.png", "figures/eror.png", "broken picture: there is no file"),
+        ("rotation-000.png", "rotation-00.png", "broken picture: there is no file"),
     ],
 )
 def test_mistakes_in_documents_are_named(build: Build, tmp_path: Path, old: str, new: str, message: str) -> None:
@@ -264,7 +255,11 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
         {"name": "rotating", "spec": "specs/rotating.yaml", "title": "Two", "caption": "Two pictures.", "quick": SMALL},
         {"name": "worm", "spec": "specs/universal-animation.yaml", "title": "Worm", "caption": "Film.", "quick": WORM},
     ]
-    (folder / "page.md").write_text(PAGE.replace("run:first", "run:worm").replace("toy.yaml", "list.yaml"))
+    (folder / "page.md").write_text(
+        PAGE.replace("run:first/renders/tracer/rotation-000.png", "run:worm/figures/error.png").replace(
+            "toy.yaml", "list.yaml"
+        )
+    )
     docs = [{"title": "Start here", "pages": ["page.md"]}]
     whole = {"hero": "rotating", "lead": "Two lenses.", "entries": entries, "docs": docs}
     (folder / "list.yaml").write_text(json.dumps(whole))

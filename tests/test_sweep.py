@@ -21,7 +21,7 @@ from magiclens.contract.executors import Processes, Serial
 from magiclens.contract.stages import Progress, silent
 from magiclens.plan.registry import Registry
 from magiclens.sweep.combine import Combination, combinations, split_values
-from magiclens.sweep.page import PICTURE_SIDE, combination_pictures
+from magiclens.sweep.page import COMBINATION_SIDE, combination_pictures
 from magiclens.sweep.results import Sweep
 from magiclens.sweep.sweeping import sweep_spec
 from toys import TOYS, SpecWriter, ToyIntegrator, no_timings, registry_of
@@ -308,7 +308,7 @@ def test_the_contact_sheet_has_the_values_of_the_last_key_in_columns(sweep: Swee
 def test_pictures_show_what_the_lens_shows(sweep: Sweeper) -> None:
     shown, nothing = combination_pictures(sweep("pipeline.renderers=[{type: tracer}],[]"))
     assert nothing.std() == 0
-    first_view, no_view = shown[: PICTURE_SIDE // 2, : PICTURE_SIDE // 2], shown[PICTURE_SIDE // 2 :]
+    first_view, no_view = shown[: COMBINATION_SIDE // 2, : COMBINATION_SIDE // 2], shown[COMBINATION_SIDE // 2 :]
     assert first_view.std() > 20
     assert no_view.std() == 0
 

@@ -19,7 +19,7 @@ from magiclens.sweep.table import compared_renderer, mean_scores
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-PICTURE_SIDE = 320
+COMBINATION_SIDE = 320
 """Width and height of the picture of a combination, pixels."""
 _MOST_VIEWS = 9
 """Most views in the picture of a combination; the first ones are shown."""
@@ -30,7 +30,7 @@ _COLUMNS = {"psnr_db": "PSNR", "ssim": "SSIM", "step_mean_mm": "mean step", "ste
 
 
 def combination_pictures(sweep: Sweep) -> list[Pixels]:
-    """A picture (PICTURE_SIDE, PICTURE_SIDE, 3) of each combination: its views in rows, grey where there is none."""
+    """Pictures (COMBINATION_SIDE, COMBINATION_SIDE, 3) of all combinations, views in rows; grey if there are none."""
     return [_picture(sweep.folder / result.combination.folder, result.manifest) for result in sweep.results]
 
 
@@ -39,7 +39,7 @@ def sweep_image(sweep: Sweep, pictures: Sequence[Pixels]) -> Image:
 
     Args:
         sweep: The finished sweep.
-        pictures: One (PICTURE_SIDE, PICTURE_SIDE, 3) for each of its results.
+        pictures: One (COMBINATION_SIDE, COMBINATION_SIDE, 3) for each of its results.
     """
     both = zip(pictures, sweep.results, strict=True)
     tiles = [Tile(picture, result.combination.label, _caption(result)) for picture, result in both]
@@ -53,7 +53,7 @@ def sweep_page(sweep: Sweep, pictures: Sequence[Pixels]) -> str:
 
     Args:
         sweep: The finished sweep.
-        pictures: One (PICTURE_SIDE, PICTURE_SIDE, 3) for each of its results.
+        pictures: One (COMBINATION_SIDE, COMBINATION_SIDE, 3) for each of its results.
     """
     best = _best(sweep.results)
     return render_page(
@@ -99,15 +99,15 @@ def _columns(sweep: Sweep) -> int | None:
 
 
 def _picture(run: Path, manifest: Mapping[str, Any] | None) -> Pixels:
-    board = np.full((PICTURE_SIDE, PICTURE_SIDE, 3), _EMPTY_GREY, np.uint8)
+    board = np.full((COMBINATION_SIDE, COMBINATION_SIDE, 3), _EMPTY_GREY, np.uint8)
     renderer = compared_renderer(manifest) if manifest else None
     if manifest is None or renderer is None:
         return board
     views = manifest["views"][:_MOST_VIEWS]
     per_side = math.ceil(math.sqrt(len(views)))
-    side = PICTURE_SIDE // per_side
+    side = COMBINATION_SIDE // per_side
     for k, view in enumerate(views):
-        top, left = (PICTURE_SIDE * index // per_side for index in divmod(k, per_side))
+        top, left = (COMBINATION_SIDE * index // per_side for index in divmod(k, per_side))
         shown = _exposed(run / view["renders"][renderer], run / view["target"], side)
         board[top : top + side, left : left + side] = shown
     return board
