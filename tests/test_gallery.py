@@ -22,7 +22,9 @@ from magiclens.contract.errors import InputError
 from magiclens.contract.stages import KINDS
 from magiclens.plan.registry import NAMED_ART, SCENARIO, STAGE, Plugin, Registry
 from magiclens.profiles.machines import machines
+from magiclens.web.gallery.docstrings import prose, sections
 from magiclens.web.gallery.gallery_list import load_gallery
+from magiclens.web.gallery.parts import Table, Text
 from toys import SPEC, ToyMatcher, plugin_of
 
 ROOT = Path(__file__).parent.parent
@@ -289,6 +291,34 @@ def test_the_reference_has_everything_that_is_installed(site: Path) -> None:
         assert f">mlens {command}</h2>" in text("commands")
     assert "progress: Progress = silent" in re.sub("<[^>]*>", "", text("plugins"))
     assert "object at 0x" not in text("plugins")
+
+
+def test_sections_of_docstrings_are_tables() -> None:
+    def seen(eye: float, source: float) -> float:
+        """What is seen.
+
+        From afar.
+
+        Args:
+            eye: The eye,
+                in mm.
+            source: The source.
+
+        Returns:
+            The picture.
+
+        Raises:
+            ValueError: There is none.
+        """
+        return eye + source
+
+    assert prose(seen) == "What is seen.\n\nFrom afar."
+    arguments, returned, raised = sections(seen)
+    assert isinstance(arguments, Table)
+    assert arguments.rows == [("`eye`", "The eye, in mm."), ("`source`", "The source.")]
+    assert returned == Text("**Returns** The picture.")
+    assert isinstance(raised, Table)
+    assert raised.rows == [("`ValueError`", "There is none.")]
 
 
 def test_broken_links_are_found(tmp_path: Path) -> None:

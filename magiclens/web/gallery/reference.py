@@ -14,6 +14,7 @@ from magiclens.plan.registry import EXECUTOR, SCENARIO, STAGE, Registry
 from magiclens.profiles.machines import PROCESSES, machines
 from magiclens.profiles.materials import materials
 from magiclens.web.gallery.docs import DOCS_FOLDER, first_line
+from magiclens.web.gallery.docstrings import prose, sections
 from magiclens.web.gallery.options import model_tables
 from magiclens.web.gallery.parts import Block, Code, Images, Part, ReferencePage, Table, Text
 from magiclens.web.gallery.pictures import Album
@@ -73,7 +74,7 @@ def _spec(registry: Registry) -> list[Part]:
     """The keys of a spec, then those of each scenario."""
     whole = [Part("Top level", first_line(Spec.__doc__), model_tables(Spec))]
     classes = registry.classes(SCENARIO)
-    return whole + [Part(f"scenario: {name}", _docstring(cls), model_tables(cls)) for name, cls in classes.items()]
+    return whole + [Part(f"scenario: {name}", prose(cls), model_tables(cls)) for name, cls in classes.items()]
 
 
 def _stages(registry: Registry) -> list[Part]:
@@ -81,7 +82,7 @@ def _stages(registry: Registry) -> list[Part]:
     for kind in KINDS:
         for name, cls in registry.classes(STAGE, kind).items():
             by = f" Version {cls.version}, from {registry.contributions[STAGE, kind, name].plugin}."
-            parts.append(Part(f"{kind}: {name}", _docstring(cls) + by, model_tables(cls)))
+            parts.append(Part(f"{kind}: {name}", prose(cls) + by, model_tables(cls)))
     return parts
 
 
@@ -99,12 +100,14 @@ def _commands(commands: Commands) -> list[Part]:
 def _executors(registry: Registry) -> list[Part]:
     """The values of ``--executor``, and the options that ``--executor-set`` takes."""
     classes = registry.classes(EXECUTOR)
-    return [Part(f"--executor {name}", _docstring(cls), model_tables(cls)) for name, cls in classes.items()]
+    return [Part(f"--executor {name}", prose(cls), model_tables(cls)) for name, cls in classes.items()]
 
 
 def _plugins() -> list[Part]:
-    hooks = [Part(name, _docstring(hook), [Code(_signature(name, hook), "python")]) for name, hook in _hooks()]
-    kinds = [Part(f"kind: {kind}", _docstring(cls), _methods(cls)) for kind, cls in KINDS.items()]
+    hooks = [
+        Part(name, prose(hook), [Code(_signature(name, hook), "python"), *sections(hook)]) for name, hook in _hooks()
+    ]
+    kinds = [Part(f"kind: {kind}", prose(cls), [*sections(cls), *_methods(cls)]) for kind, cls in KINDS.items()]
     return [*hooks, *kinds, Part("Public names", "`from magiclens import ...`", [_public()])]
 
 
@@ -117,7 +120,7 @@ def _methods(cls: type[Any]) -> list[Block]:
     blocks: list[Block] = []
     for name, method in vars(cls).items():
         if inspect.isfunction(method) and not name.startswith("_"):
-            blocks += [Code(_signature(name, method), "python"), Text(_docstring(method))]
+            blocks += [Code(_signature(name, method), "python"), Text(prose(method)), *sections(method)]
     return blocks
 
 
@@ -187,8 +190,3 @@ def _value(value: Any) -> str:
 
 def _sentence(text: str) -> str:
     return f"{text[:1].upper()}{text[1:]}."
-
-
-def _docstring(thing: Any) -> str:
-    """The docstring of a class or function, without its indentation."""
-    return inspect.getdoc(thing) or ""
