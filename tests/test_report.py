@@ -16,7 +16,7 @@ from PIL import Image
 from magiclens import builtin
 from magiclens.analysis.annealing_effect import ANNEALING_EFFECT, before_after, fine_slopes
 from magiclens.analysis.base import Findings
-from magiclens.analysis.contact_sheet import CONTACT_SHEET, MARK, marked, place
+from magiclens.analysis.contact_sheet import CONTACT_SHEET, MARK, marked, view_placement
 from magiclens.analysis.ideal_picture import predict
 from magiclens.analysis.overlap import FAINT, OVERLAP, coarse, faded, overlaps, seeing_facets, seen
 from magiclens.analysis.picture_error import PICTURE_ERROR, difference, gridded
@@ -405,10 +405,10 @@ def test_the_outline_of_a_lens_smaller_than_its_source_lies_within() -> None:
 
 def test_places_of_views() -> None:
     lens, picture = small_lens(), letter_f(8)
-    assert place(grey_view(picture, picture), lens, False) == "eye 400 mm above the lens"
-    assert place(grey_view(picture, picture), lens, True) == "lens at 0°"
-    assert place(grey_view(picture, picture, (70.0, -45.0, 440.0)), lens, False) == "eye at (70, -45) mm"
-    assert place(grey_view(picture, picture, (-1e-14, 103.7, 440.0)), lens, False) == "eye at (0, 104) mm"
+    assert view_placement(grey_view(picture, picture), lens, False) == "eye 400 mm above the lens"
+    assert view_placement(grey_view(picture, picture), lens, True) == "lens at 0°"
+    assert view_placement(grey_view(picture, picture, (70.0, -45.0, 440.0)), lens, False) == "eye at (70, -45) mm"
+    assert view_placement(grey_view(picture, picture, (-1e-14, 103.7, 440.0)), lens, False) == "eye at (0, 104) mm"
 
 
 def test_photographs_are_exposed_and_differences_signed() -> None:

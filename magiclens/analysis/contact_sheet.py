@@ -28,14 +28,15 @@ def contact_sheet(result: RunResult) -> Figure:
         source = sources[view.source_name]
         pictures = [marked(source, result.scene.lens, view) if turned else source, to_pixels(view.target, side)]
         pictures += [to_pixels(photos[k].picture, side) for photos in seen.values()]
-        captions = [place(view, result.scene.lens, turned), view.name, *(photos[k].caption for photos in seen.values())]
+        placement = view_placement(view, result.scene.lens, turned)
+        captions = [placement, view.name, *(photos[k].caption for photos in seen.values())]
         rows.append([Tile(*parts) for parts in zip(pictures, titles if k == 0 else blank, captions, strict=True)])
     mark = " The orange corner of the lens shows how it is turned." if turned else ""
     caption = f"One view in each row: what lies under the lens, what it shall show, what simulated cameras see.{mark}"
     return Figure("contact-sheet", "What the lens shows", rows, caption)
 
 
-def place(view: View, lens: Lens, turned: bool) -> str:
+def view_placement(view: View, lens: Lens, turned: bool) -> str:
     """How the lens and the eye are placed in a view."""
     x, y, z = view.eye_mm
     parts = [f"lens at {view.rotation_deg:g}°"] if turned else []

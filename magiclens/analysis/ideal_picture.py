@@ -35,7 +35,7 @@ def predict_view(
     heights_mm: FloatArray | None = None,
 ) -> FloatArray:  # fmt: skip
     """The ideal picture of one view, (R, R, C) float32; see ``predict`` for the arguments."""
-    from magiclens.analysis.ideal_picture_kernels import Facets, sample_ideal_picture
+    from magiclens.analysis.ideal_picture_kernels import IdealFacets, sample_ideal_picture
 
     local = view.in_lens_frame()
     patches = patches_seen(scene, assignment, local.eye_mm, heights_mm)
@@ -44,7 +44,7 @@ def predict_view(
     inward = np.linalg.inv(np.where(np.isfinite(patches.shears), patches.shears, np.eye(2)))
     seen = sample_ideal_picture(
         local.source, local.source.shape[1] / scene.lens.source_size_mm,
-        Facets(patches.landings_mm * flip, patches.maps * turn, patches.places_mm * flip, inward * turn),
+        IdealFacets(patches.landings_mm * flip, patches.maps * turn, patches.places_mm * flip, inward * turn),
         scene.lens.size_mm, resolution, samples,
     )  # fmt: skip
     return np.ascontiguousarray(np.rot90(seen, view.quarter_turns))

@@ -11,7 +11,7 @@ from numba import njit, prange
 from magiclens.kernels.sampling import place
 
 
-class Facets(NamedTuple):
+class IdealFacets(NamedTuple):
     """What N x N facets show, in the image frame (y down), mm.
 
     A point p of a facet, from its centre, shows the source at ``landing + map p``, and is seen in the picture at a
@@ -64,7 +64,7 @@ def sample_ideal_picture(source, per_mm, facets, size, resolution, samples):
     Args:
         source: (H, W, C) float32, linear light.
         per_mm: Pixels of the source per mm.
-        facets: What the facets show, see ``Facets``.
+        facets: What the facets show, see ``IdealFacets``.
         size: Side of the picture, mm.
         resolution: Pixels R along one side of the picture.
         samples: Samples per side of a pixel.

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -63,12 +63,19 @@ _PROGRAMS = (
 )
 
 
-def doctor_command(as_json: AsJson = False) -> None:
+def doctor_command(
+    as_json: AsJson = False,
+    warm: Annotated[bool, typer.Option("--warm", help="Also compile all kernels now, so that no run has to.")] = False,
+) -> None:
     """Look for all that magiclens can use, and say how to get what is missing. Exit code 1: it cannot work."""
     with reporting(False):
         from magiclens.plan.registry import Registry
 
         found = examine(Registry.load())
+        if warm:
+            from magiclens.running.compilation import compile_all_kernels
+
+            found.append(compiled_kernels(compile_all_kernels))
         print_result(lambda: diagnoses_text(found), lambda: diagnoses_data(found), as_json=as_json)
         if unfit(found):
             raise typer.Exit(1)
@@ -86,6 +93,15 @@ def examine(registry: Registry) -> list[Diagnosis]:
         _font(),
         *(_program(program) for program in _PROGRAMS),
     ]
+
+
+def compiled_kernels(compile_all: Callable[[], None]) -> Diagnosis:
+    """Compile all kernels and tell how long that took; numba keeps them in its cache."""
+    from time import perf_counter
+
+    began = perf_counter()
+    compile_all()
+    return Diagnosis("kernels", "ok", f"compiled, or found in the cache, in {perf_counter() - began:.0f} s")
 
 
 def diagnoses_text(diagnoses: Iterable[Diagnosis]) -> str:

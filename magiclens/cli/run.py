@@ -36,12 +36,15 @@ def run_command(
 ) -> None:
     """Design the lens of SPEC and write a run folder: mesh, source, simulated photographs, manifest."""
     with reporting(traceback):
+        from magiclens.running.compilation import compiling_ahead
         from magiclens.running.observers import Observer, terminal_observer
         from magiclens.running.pipeline import run_spec
 
         end_on_sigterm()
         # progress goes to standard error, so that standard output holds the result alone
-        done = run_spec(spec, out, overrides, Observer() if quiet or as_json else terminal_observer(sys.stderr))
+        observer = Observer() if quiet or as_json else terminal_observer(sys.stderr)
+        with compiling_ahead(spec, overrides, observer) as observer:
+            done = run_spec(spec, out, overrides, observer)
         print_result(lambda: _summary(done), lambda: {"folder": str(done.folder), **done.manifest}, quiet, as_json)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from magiclens.analysis.contact_sheet import place
+from magiclens.analysis.contact_sheet import view_placement
 from magiclens.contract.artifacts import Scene
 from magiclens.contract.result import RunResult
 from magiclens.drawing.photographs import Photograph
@@ -147,7 +147,7 @@ def score_rows(scene: Scene, photos: Mapping[str, Sequence[Photograph]]) -> list
         for column in ([photo.score.psnr_db for photo in of_views], [photo.score.ssim for photo in of_views])
     ]
     rows = [
-        ScoreRow(view.name, place(view, scene.lens, turned), _scores([column[k] for column in columns]))
+        ScoreRow(view.name, view_placement(view, scene.lens, turned), _scores([column[k] for column in columns]))
         for k, view in enumerate(scene.views)
     ]
     mean = ScoreRow("mean", "", _scores([_mean(column) for column in columns]))

@@ -30,8 +30,8 @@ from magiclens.running.writing import (
     save_transports,
     write_animations,
     write_figure_pictures,
-    write_pictures,
     write_renders,
+    write_scene_pictures,
     write_sources,
 )
 
@@ -194,7 +194,7 @@ def _redesign(plan: Plan, given: Scene) -> tuple[Scene, Solid]:
 
 def _show(plan: Plan, result: RunResult, folder: Path, steps: Steps) -> RunResult:
     """Write the pictures and the lens, then render it; the result with its renders."""
-    write_pictures(result.painted, folder)
+    write_scene_pictures(result.painted, folder)
     if plan.encoder:
         write_sources(result.given, folder, "given")
     save_heights(result.solid, plan.lens, folder)

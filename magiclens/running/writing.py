@@ -19,7 +19,7 @@ def copy_inputs(inputs: Inputs, folder: Path) -> None:
         shutil.copyfile(path, folder / kept)
 
 
-def write_pictures(scene: Scene, folder: Path) -> None:
+def write_scene_pictures(scene: Scene, folder: Path) -> None:
     """The sources, true to scale for printing, and the targets."""
     from magiclens.images.files import write_png
 

@@ -1,0 +1,230 @@
+"""Compiles the kernels of a plan on two cores at the first run after an installation, and says so.
+
+numba compiles a kernel when it is called for the first time, and keeps it on disk. In a new installation that is most
+of the time of a run. So a child process compiles what later steps need while this process compiles what the first ones
+need: it puts a very small lens through the same stages. Nothing depends on the child: whatever it has not compiled is
+compiled when it is called.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from magiclens.contract.artifacts import Assignment, Candidates, HeightField, Scene, Solid
+from magiclens.contract.result import RunResult
+from magiclens.plan.compile import Plan, load_plan
+from magiclens.running.design import generators
+from magiclens.running.manifest import REFERENCE_RENDERER
+from magiclens.running.observers import Observer
+
+if TYPE_CHECKING:
+    from numba.core.event import Event
+
+_NOTICE = "compiling kernels, once: the next run starts at once"
+_SPECS = (
+    "scenario: {type: single, source: {type: circles}, target: {art: heart}}\nfabrication: {machine: printing}",
+    "scenario: {type: stable-zone, source: {type: circles}, target: {art: heart}, cone: 1deg}",
+    "scenario: {type: universal-animation, frames: {art: worm, length: 1}}",
+)
+"""One spec for every matcher, and so for all kernels that a design may need."""
+_SIDE = 2
+"""Facets along one side of the small lens: some kernels run only between facets."""
+
+
+@contextmanager
+def compiling_ahead(spec: Path, overrides: Sequence[str], observer: Observer) -> Iterator[Observer]:
+    """While the block runs a spec, compile in a child process what later steps need, if anything is to be compiled.
+
+    Args:
+        spec: The spec file.
+        overrides: ``key.path=value`` texts that are laid over it.
+        observer: Is told that kernels are compiled.
+
+    Yields:
+        The observer to run with; it waits for the child before steps whose kernels the child compiles.
+    """
+    from numba.core.event import install_listener
+
+    ahead = _CompilationAhead(spec, overrides, observer)
+    try:
+        with install_listener("numba:compile", _listener(ahead.start_child)):
+            yield ahead
+    finally:
+        ahead.end()
+
+
+def compile_all_kernels() -> None:
+    """Compile the kernels that the built-in stages of a design need, in two processes side by side."""
+    with TemporaryDirectory() as folder:
+        for k, text in enumerate(_SPECS):
+            spec = Path(folder, f"{k}.yaml")
+            spec.write_text(text, encoding="utf-8")
+            for child in [_start_child(spec, (), parts) for parts in (_EARLY, _LATE)]:
+                child.communicate()
+
+
+class _CompilationAhead(Observer):
+    """Passes everything on to another observer; starts the child at the first compilation, and waits for it."""
+
+    def __init__(self, spec: Path, overrides: Sequence[str], observer: Observer):
+        self._observer = observer
+        self._start = partial(_start_child, spec, overrides, _LATE)
+        self._child: subprocess.Popen[str] | None = None
+
+    def started(self, name: str, facets: int) -> None:
+        """Wait until the child has compiled what this piece of work needs: heights are refined by integrators."""
+        self._observer.started(name, facets)
+        if self._child and self._child.stdout and not name.startswith(("pictures", "matcher", "annealer")):
+            done = "refine" if name.startswith("integrator") else _LATE[-1]
+            while self._child.stdout.readline().strip() not in ("", done):
+                pass
+
+    def progressed(self, name: str, fraction: float) -> None:
+        """Pass it on."""
+        self._observer.progressed(name, fraction)
+
+    def finished(self, name: str, seconds: float) -> None:
+        """Pass it on."""
+        self._observer.finished(name, seconds)
+
+    def notice(self, text: str) -> None:
+        """Pass it on."""
+        self._observer.notice(text)
+
+    def stopped(self) -> None:
+        """Pass it on."""
+        self._observer.stopped()
+
+    def start_child(self) -> None:
+        """Start the child, once."""
+        if self._child is None:
+            self._observer.notice(_NOTICE)
+            self._child = self._start()
+
+    def end(self) -> None:
+        """End the child, which a run that failed no longer needs."""
+        if self._child:
+            self._child.kill()
+            self._child.communicate()
+
+
+def _listener(compiling: Callable[[], None]) -> Any:
+    """A numba listener that calls a function whenever one of our kernels is about to be compiled."""
+    from numba.core.event import Listener
+
+    class KernelListener(Listener):
+        def on_start(self, event: Event) -> None:
+            if event.data["dispatcher"].py_func.__module__.startswith("magiclens."):
+                compiling()
+
+        def on_end(self, event: Event) -> None:
+            pass
+
+    return KernelListener()
+
+
+def _start_child(spec: Path, overrides: Sequence[str], parts: Sequence[str]) -> subprocess.Popen[str]:
+    """A process that does ``compile_parts``; its standard output names the parts that are done."""
+    command = [sys.executable, "-m", __name__, str(spec), ",".join(parts), *overrides]
+    nothing = subprocess.DEVNULL
+    return subprocess.Popen(command, stdin=nothing, stdout=subprocess.PIPE, stderr=nothing, text=True)
+
+
+def compile_parts(spec: str, parts: str, *overrides: str) -> None:
+    """Compile the kernels of some parts of a run, and print the name of each part that is done."""
+    plan = load_plan(spec, overrides)
+    scene = small_scene(plan)
+    for part in parts.split(","):
+        # a part that fails on so small a lens is compiled by the run, which reports what is wrong, if anything is
+        with suppress(Exception):
+            _PARTS[part](plan, scene)
+        print(part, flush=True)
+
+
+def small_scene(plan: Plan) -> Scene:
+    """The plan's scene with a lens of 2 x 2 of its facets, as the medium shows it."""
+    lens = plan.lens
+    small = replace(lens, facets=_SIDE, size_mm=_SIDE * lens.pitch_mm)
+    return plan.on_medium(replace(plan.scene(), lens=small))
+
+
+def _flat(scene: Scene) -> HeightField:
+    m = scene.lens.microfacets
+    return HeightField(scene.lens, np.zeros((_SIDE, _SIDE, m + 1, m + 1)), scene.cut_eye_mm)
+
+
+def _solid(scene: Scene) -> Solid:
+    from magiclens.geometry.solid import solid_from_heights
+
+    return solid_from_heights(_flat(scene))
+
+
+def _candidates() -> Candidates:
+    shape = (_SIDE, _SIDE, 1)
+    maps = np.broadcast_to(np.array([1.0, 0.0, 1.0], np.float32), (*shape, 3))
+    return Candidates(np.zeros((*shape, 2), np.float32), maps, np.zeros(shape, np.float32))
+
+
+def _match(plan: Plan, scene: Scene) -> None:
+    rng = generators(plan.spec.seed)
+    candidates = plan.matcher.stage.match(scene, rng["matcher"])
+    assignment = plan.annealer.stage.anneal(scene, candidates, rng["annealer"])
+    plan.integrator.stage.integrate(scene, assignment)
+
+
+def _refine(plan: Plan, scene: Scene) -> None:
+    if plan.matcher.stage.uses_pictures:
+        plan.integrator.stage.refine(scene, _flat(scene))
+
+
+def _render(plan: Plan, scene: Scene) -> None:
+    for renderer in plan.renderers:
+        if renderer.stage.type == REFERENCE_RENDERER:
+            renderer.stage.render(scene, _solid(scene))
+    if plan.encoder:
+        from magiclens.rendering.transports import transports
+
+        transports(scene, _solid(scene))
+
+
+def _analyse(plan: Plan, scene: Scene) -> None:
+    candidates, solid = _candidates(), _solid(scene)
+    result = RunResult(
+        given=scene, painted=scene, scene=scene, candidates=candidates,
+        assignment=Assignment.pick(candidates, np.zeros((_SIDE, _SIDE), np.int64)), height_field=_flat(scene),
+        unfinished=solid, solid=solid, renders={}, manifest={"metrics": {}},
+    )  # fmt: skip
+    for planned in plan.analyses:
+        with suppress(Exception):
+            findings = planned.analysis.compute(plan, result)
+            planned.analysis.figures(result, findings)
+
+
+def _inspect(plan: Plan, scene: Scene) -> None:
+    from magiclens.preflight.sight import looks
+
+    solid = _solid(scene)
+    looks(solid.vertices[solid.faces], scene.lens, scene.views)
+
+
+_PARTS: dict[str, Callable[[Plan, Scene], None]] = {
+    "match": _match, "refine": _refine, "render": _render, "analyse": _analyse, "inspect": _inspect,
+}  # fmt: skip
+_EARLY = ("match",)
+"""What a run compiles itself, since it needs it first."""
+_LATE = ("refine", "render", "inspect", "analyse")
+"""What the child compiles, in the order in which a run needs it, the longest first."""
+
+
+if __name__ == "__main__":
+    compile_parts(*sys.argv[1:])

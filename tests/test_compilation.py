@@ -1,0 +1,98 @@
+"""The first run: kernels are compiled in a child process beside the run, and the run says so."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from numba import njit
+
+from magiclens.plan.compile import load_plan
+from magiclens.running import compilation
+from magiclens.running.compilation import compiling_ahead, small_scene
+from magiclens.running.observers import Observer
+
+SPEC = """\
+scenario: {type: single, source: {type: circles, seed: 7}, target: {art: heart}}
+lens: {size: 24mm, facets: 8, microfacets: 4, thickness: 20mm}
+pipeline: {matcher: {type: exhaustive, scales: [0.5], candidates: 4, polish: 1}}
+"""
+
+
+class Watching(Observer):
+    """Collects what it is told."""
+
+    def __init__(self) -> None:
+        self.notices: list[str] = []
+        self.names: list[str] = []
+
+    def started(self, name: str, facets: int) -> None:
+        self.names.append(name)
+
+    def notice(self, text: str) -> None:
+        self.notices.append(text)
+
+
+@pytest.fixture
+def spec(tmp_path: Path) -> Path:
+    path = tmp_path / "small.yaml"
+    path.write_text(SPEC, encoding="utf-8")
+    return path
+
+
+def kernel_of(module: str) -> object:
+    """A kernel that no one has compiled yet, as if it were of that module."""
+
+    def double(x: float) -> float:
+        return 2 * x
+
+    double.__module__ = module
+    return njit(double)
+
+
+def test_the_first_compilation_is_announced_once_and_starts_a_child(spec: Path) -> None:
+    watching = Watching()
+    with compiling_ahead(spec, (), watching) as observer:
+        for _ in range(2):
+            assert kernel_of("magiclens.optics.made_up")(2.0) == 4.0  # type: ignore[operator]
+        observer.started("matcher exhaustive", 64)
+        assert observer._child.poll() is None  # type: ignore[attr-defined]
+    assert watching.notices == ["compiling kernels, once: the next run starts at once"]
+    assert watching.names == ["matcher exhaustive"]
+
+
+def test_kernels_of_others_are_not_announced(spec: Path) -> None:
+    watching = Watching()
+    with compiling_ahead(spec, (), watching):
+        assert kernel_of("somebody.elses")(2.0) == 4.0  # type: ignore[operator]
+    assert watching.notices == []
+
+
+def test_outside_a_run_nothing_listens(spec: Path) -> None:
+    watching = Watching()
+    with compiling_ahead(spec, (), watching):
+        pass
+    kernel_of("magiclens.optics.made_up")(2.0)  # type: ignore[operator]
+    assert watching.notices == []
+
+
+def test_the_small_lens_has_the_facets_of_the_large_one(spec: Path) -> None:
+    plan = load_plan(spec)
+    small = small_scene(plan).lens
+    assert (small.facets, small.pitch_mm, small.microfacets) == (2, plan.lens.pitch_mm, plan.lens.microfacets)
+
+
+@pytest.mark.parametrize("part", ["match", "refine", "render", "inspect", "analyse"])
+def test_no_part_fails_on_the_small_lens(part: str, spec: Path) -> None:
+    """A failure is not reported, so nobody would see that kernels are no longer compiled ahead."""
+    plan = load_plan(spec)
+    compilation._PARTS[part](plan, small_scene(plan))
+
+
+def test_the_child_names_the_parts_that_are_done(spec: Path) -> None:
+    command = [sys.executable, "-m", "magiclens.running.compilation", str(spec), "inspect,match"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=os.environ.copy())
+    assert done.stdout.split() == ["inspect", "match"]
