@@ -21,12 +21,13 @@ from magiclens.contract.errors import InputError
 from magiclens.exporting.mesh_files import STL_HEADER
 from magiclens.geometry.solid import solid_from_heights
 from magiclens.plan.compile import Plan, load_plan
-from magiclens.preflight import making, optics
-from magiclens.preflight.exported import Exported, read_exported
-from magiclens.preflight.finding import Finding, first_of, graded, worst
-from magiclens.preflight.inspect import Preflight, _as_made, inspect
+from magiclens.preflight.checks import run_preflight
+from magiclens.preflight.finding import Finding, Preflight, graded, worst, worst_facet_text
+from magiclens.preflight.light import check_fresnel_loss, check_total_reflection
+from magiclens.preflight.machine import check_as_made, check_bed, check_detail, check_material, check_tool_reach
+from magiclens.preflight.mesh_file import MeshFile, read_mesh_file
 from magiclens.preflight.page import STATUS_COLOURS, lens_map, preflight_text, write_preflight
-from magiclens.preflight.sight import facets_of, look, slopes_deg
+from magiclens.preflight.triangles import TopTriangles, top_triangles, trace_triangles
 from magiclens.profiles.machines import machines
 from magiclens.running.pipeline import Run, run_spec
 
@@ -66,11 +67,11 @@ def checked(folder: Path, **facts: Any) -> dict[str, Finding]:
     """What preflight finds in a run folder, by check."""
     manifest = json.loads((folder / "manifest.json").read_text())
     plan = load_plan(folder / "spec.yaml")
-    return {finding.check: finding for finding in inspect(folder, {**manifest, **facts}, plan).findings}
+    return {finding.check: finding for finding in run_preflight(folder, {**manifest, **facts}, plan).findings}
 
 
 def triangles(folder: Path) -> FloatArray:
-    return read_exported(folder / "lens.stl").triangles.copy()
+    return read_mesh_file(folder / "lens.stl").triangles.copy()
 
 
 def rewrite(folder: Path, faces: FloatArray) -> None:
@@ -112,7 +113,7 @@ def test_a_run_states_what_the_machine_costs(run: Run) -> None:
     ("shown", "loss", "status"), [(25, 12, "green"), (15, 2, "green"), (15, 8, "amber"), (9, 8, "red")]
 )
 def test_what_counts_is_the_picture_as_made(shown: float, loss: float, status: str) -> None:
-    (finding,) = _as_made({"as_made_psnr_db": shown, "fabrication_loss_db": loss})
+    (finding,) = check_as_made({"as_made_psnr_db": shown, "fabrication_loss_db": loss})
     assert finding.status == status
 
 
@@ -125,7 +126,7 @@ def test_the_quick_check_agrees_with_the_thorough_one(run: Run) -> None:
 def test_equal_runs_have_equal_pages(run: Run, tmp_path: Path) -> None:
     manifest = json.loads((run.folder / "manifest.json").read_text())
     shutil.copytree(run.folder / "figures", tmp_path / "figures")
-    write_preflight(inspect(run.folder, manifest, load_plan(run.folder / "spec.yaml"), run.result.solid), tmp_path)
+    write_preflight(run_preflight(run.folder, manifest, load_plan(run.folder / "spec.yaml"), run.result.solid), tmp_path)
     for name in ("preflight.html", "preflight.json"):
         assert (tmp_path / name).read_bytes() == (run.folder / name).read_bytes()
     page = (run.folder / "preflight.html").read_text()
@@ -135,7 +136,7 @@ def test_equal_runs_have_equal_pages(run: Run, tmp_path: Path) -> None:
 def test_the_quick_check_looks_again_when_the_file_holds_something_else(run: Run, folder: Path) -> None:
     rewrite(folder, triangles(folder)[1:])
     manifest = json.loads((folder / "manifest.json").read_text())
-    found = inspect(folder, manifest, load_plan(folder / "spec.yaml"), run.result.solid)
+    found = run_preflight(folder, manifest, load_plan(folder / "spec.yaml"), run.result.solid)
     assert found.status == "red"
 
 
@@ -229,14 +230,12 @@ LENS = Lens(size_mm=12.0, source_size_mm=12.0, facets=4, microfacets=4, thicknes
 EYE = np.array([0.0, 0.0, 110.0])
 
 
-def top_of(solid: Solid, lens: Lens = LENS, eye: FloatArray | None = EYE) -> optics.Top:
-    faces = as_file(solid)
-    facet, wall = facets_of(faces.triangles[faces.on_top], lens, eye)
-    return optics.Top(faces.triangles[faces.on_top], facet, wall, slopes_deg(faces.triangles[faces.on_top]))
+def top_of(solid: Solid, lens: Lens = LENS, eye: FloatArray | None = EYE) -> TopTriangles:
+    return top_triangles(as_file(solid), lens, eye)
 
 
-def as_file(solid: Solid) -> Exported:
-    return Exported(Path("lens.stl"), solid.vertices[solid.faces].astype(np.float32))
+def as_file(solid: Solid) -> MeshFile:
+    return MeshFile(Path("lens.stl"), solid.vertices[solid.faces].astype(np.float32))
 
 
 def tilted(slope: float, facets: Iterable[tuple[int, int]], lens: Lens = LENS) -> Solid:
@@ -250,28 +249,28 @@ def tilted(slope: float, facets: Iterable[tuple[int, int]], lens: Lens = LENS) -
 
 def test_an_eye_sees_the_square_and_a_flat_slab_magnified() -> None:
     top = top_of(flat(LENS, (0.0, 0.0, 110.0)))
-    sight = look(top.triangles, LENS, EYE)
-    assert sight.area.sum() == pytest.approx(144, rel=1e-4)
-    ray = np.hypot(sight.u, sight.v)
-    depth = np.hypot(sight.x, sight.y) - ray
+    seen = trace_triangles(top.triangles, LENS, EYE)
+    assert seen.area.sum() == pytest.approx(144, rel=1e-4)
+    ray = np.hypot(seen.u, seen.v)
+    depth = np.hypot(seen.x, seen.y) - ray
     np.testing.assert_allclose(depth, ray / np.hypot(ray, 100) / 1.49 * 10, rtol=0.01)
-    assert sight.through == pytest.approx(0.96**2, abs=0.005)
+    assert seen.through == pytest.approx(0.96**2, abs=0.005)
 
 
 @pytest.mark.parametrize("slope", [0.2, 0.5])
 def test_what_is_lost_to_fresnel_and_total_reflection_is_counted(slope: float) -> None:
     steep = tilted(2.5, [(0, 3), (2, 1)])
     top = top_of(steep)
-    sights = [look(top.triangles, LENS, EYE)]
-    loss = optics.loss(top, LENS, sights)
+    traced = [trace_triangles(top.triangles, LENS, EYE)]
+    loss = check_fresnel_loss(top, LENS, traced)
     assert loss.status == "red"
     assert set(loss.facets) == {(0, 3), (2, 1)}
     assert "12 % of the picture is seen at more than 60 deg" in loss.text
-    assert optics.reflection(top, LENS, sights).status == "green", "what enters at 1.49 leaves an even bottom"
+    assert check_total_reflection(top, LENS, traced).status == "green", "what enters at 1.49 leaves an even bottom"
     dense = replace(LENS, ior=2.5)
-    assert optics.reflection(top, dense, [look(top.triangles, dense, EYE)]).facets
+    assert check_total_reflection(top, dense, [trace_triangles(top.triangles, dense, EYE)]).facets
     gentle = top_of(tilted(slope, [(0, 3)]))
-    assert optics.loss(gentle, LENS, [look(gentle.triangles, LENS, EYE)]).status == "green"
+    assert check_fresnel_loss(gentle, LENS, [trace_triangles(gentle.triangles, LENS, EYE)]).status == "green"
 
 
 def test_walls_do_not_count_as_facets() -> None:
@@ -286,19 +285,19 @@ MILL = machines()["milling"].machine()
 
 
 def test_a_mill_cannot_undercut_and_does_not_reach_deep_holes() -> None:
-    assert making.reach(*_body(tilted(0.15, [(1, 1)], MILLED), None), MILLED, MILL).status == "green"
-    under = making.reach(*_body(bumpy(lens=LENS, eye=(0.0, 0.0, 110.0)), EYE), LENS, MILL)
+    assert check_tool_reach(*_body(tilted(0.15, [(1, 1)], MILLED), None), MILLED, MILL).status == "green"
+    under = check_tool_reach(*_body(bumpy(lens=LENS, eye=(0.0, 0.0, 110.0)), EYE), LENS, MILL)
     assert (under.status, "undercut" in under.text) == ("red", True)
     short = MILL.model_copy(update={"reach": 0.5})
-    deep = making.reach(*_body(tilted(0.8, [(1, 1)], MILLED), None), MILLED, short)
+    deep = check_tool_reach(*_body(tilted(0.8, [(1, 1)], MILLED), None), MILLED, short)
     assert deep.status == "red"
     assert deep.facets[0] == (1, 1)
-    cliff = making.reach(*_body(tilted(1.9, [(1, 1)], MILLED), None), MILLED, MILL)
+    cliff = check_tool_reach(*_body(tilted(1.9, [(1, 1)], MILLED), None), MILLED, MILL)
     assert cliff.status == "amber"
     assert "steeper than the cutter's 75 deg" in cliff.text
 
 
-def _body(solid: Solid, eye: FloatArray | None) -> tuple[Exported, optics.Top]:
+def _body(solid: Solid, eye: FloatArray | None) -> tuple[MeshFile, TopTriangles]:
     return as_file(solid), top_of(solid, MILLED if eye is None else LENS, eye)
 
 
@@ -315,7 +314,7 @@ def _body(solid: Solid, eye: FloatArray | None) -> tuple[Exported, optics.Top]:
 def test_the_bed_holds_the_lens_or_not(machine: str, bed: list[str], status: str) -> None:
     profile = machines()[machine]
     body = as_file(flat(LENS))
-    assert making.bed(body, profile.model.model_validate({**profile.options, "bed": bed})).status == status
+    assert check_bed(body, profile.model.model_validate({**profile.options, "bed": bed})).status == status
 
 
 def test_the_bill_is_volume_times_density_times_price() -> None:
@@ -323,24 +322,24 @@ def test_the_bill_is_volume_times_density_times_price() -> None:
 
     body = as_file(flat(LENS))
     printer = machines()["sla"].machine().model_copy(update={"price": 1000.0})
-    text = making.bill(body, printer, materials()["photopolymer-sla"]).text
+    text = check_material(body, printer, materials()["photopolymer-sla"]).text
     assert text.startswith("1.44 cm3; 0.0017 kg")
     assert "about 2 EUR at 1000 EUR/kg" in text
-    assert "out of a block of 1.44 cm3" in making.bill(body, MILL, materials()["acrylic"]).text
-    assert making.bill(body, MILL, None).status == "amber"
+    assert "out of a block of 1.44 cm3" in check_material(body, MILL, materials()["acrylic"]).text
+    assert check_material(body, MILL, None).status == "amber"
 
 
 def test_micro_facets_finer_than_the_printer_are_amber_and_small_facets_red() -> None:
     printer = machines()["polyjet-600x300"].machine()
-    assert making.detail(LENS, printer).status == "green"
-    assert making.detail(replace(LENS, microfacets=50), printer).status == "amber"
-    assert making.detail(replace(LENS, facets=24), printer).status == "red"
+    assert check_detail(LENS, printer).status == "green"
+    assert check_detail(replace(LENS, microfacets=50), printer).status == "amber"
+    assert check_detail(replace(LENS, facets=24), printer).status == "red"
 
 
 def test_verdicts_are_those_of_the_worst_finding() -> None:
     green, amber, red = (Finding("x", graded(value, 1, 2), "") for value in (0.5, 1.5, 2.5))
     assert [worst(found) for found in ([], [green], [green, amber], [red, amber])] == ["green", "green", "amber", "red"]
-    assert first_of(((3, 4), (0, 0))) == "; the worst is facet row 3, column 4, and 1 more"
+    assert worst_facet_text(((3, 4), (0, 0))) == "; the worst is facet row 3, column 4, and 1 more"
 
 
 def test_the_map_frames_the_facets_at_fault() -> None:

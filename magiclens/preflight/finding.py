@@ -1,4 +1,4 @@
-"""What a check has found."""
+"""Findings of preflight's checks, and how they are graded."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from typing import Literal
 
 import numpy as np
 
-from magiclens.contract.artifacts import BoolArray, IntArray, Lens
+from magiclens.contract.artifacts import BoolArray, FloatArray, IntArray, Lens
 
 Status = Literal["green", "amber", "red"]
-"""Fit; look at it first; do not make it."""
-ORDER: tuple[Status, ...] = ("green", "amber", "red")
+"""Grade of a finding: the lens is fit to be made; it should be examined first; it should not be made."""
+_ORDER: tuple[Status, ...] = ("green", "amber", "red")
 
 Facets = tuple[tuple[int, int], ...]
-"""(row, column) each: row 0 at +y, column 0 at -x."""
+"""(row, column) of facets; row 0 is at +y, column 0 at -x."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One line of the page. ``facets`` are those at fault, the worst first."""
+    """The result of one check: a line of the preflight page. ``facets`` are those at fault, the worst first."""
 
     check: str
     status: Status
@@ -28,20 +28,43 @@ class Finding:
     facets: Facets = ()
 
 
+@dataclass(frozen=True)
+class Preflight:
+    """All findings about a run folder.
+
+    name: of the run. made_by: title of the machine, empty if none is named. slopes_deg: (N, N) mean slope of each
+    facet, for the map; None without a mesh.
+    """
+
+    name: str
+    made_by: str
+    findings: Sequence[Finding]
+    slopes_deg: FloatArray | None
+
+    @property
+    def status(self) -> Status:
+        """The status of the worst finding."""
+        return worst(self.findings)
+
+
 def worst(findings: Iterable[Finding]) -> Status:
-    """The status of all together."""
-    return max((finding.status for finding in findings), key=ORDER.index, default="green")
+    """The status of the worst finding; green if there is none."""
+    return max((finding.status for finding in findings), key=_ORDER.index, default="green")
 
 
 def graded(value: float, amber: float, red: float) -> Status:
-    """Green up to ``amber``, amber up to ``red``, then red."""
+    """Green if the value is at most ``amber``, amber if it is at most ``red``, else red."""
     return "green" if value <= amber else "amber" if value <= red else "red"
 
 
-def facets_with(bad: BoolArray, facet: IntArray, badness: Sequence[float] | np.ndarray, lens: Lens) -> Facets:
-    """The facets in which something is bad, the worst first.
+def facets_where(bad: BoolArray, facet: IntArray, badness: Sequence[float] | np.ndarray, lens: Lens) -> Facets:
+    """The facets that hold bad triangles, the worst first.
 
-    bad: (F,). facet: (F,) row * N + column. badness: (F,), by which facets are sorted.
+    Args:
+        bad: (F,) triangles at fault.
+        facet: (F,) facet of each triangle, row * N + column.
+        badness: (F,) how bad each triangle is; a facet is as bad as its worst triangle.
+        lens: Says how many facets there are.
     """
     found = np.full(lens.facets**2, -np.inf)
     np.maximum.at(found, facet[bad], np.asarray(badness, float)[bad])
@@ -49,8 +72,8 @@ def facets_with(bad: BoolArray, facet: IntArray, badness: Sequence[float] | np.n
     return tuple((int(k) // lens.facets, int(k) % lens.facets) for k in order)
 
 
-def first_of(facets: Facets) -> str:
-    """Where the worst one is, in words; nothing if there is none."""
+def worst_facet_text(facets: Facets) -> str:
+    """The end of a sentence that says which facet is the worst; empty if there is none."""
     if not facets:
         return ""
     row, column = facets[0]

@@ -11,8 +11,7 @@ from magiclens.contract.artifacts import FloatArray
 from magiclens.drawing.scales import Pixels
 from magiclens.pages.pictures import webp_uri
 from magiclens.pages.templating import render_page
-from magiclens.preflight.finding import Finding
-from magiclens.preflight.inspect import Preflight
+from magiclens.preflight.finding import Finding, Preflight
 
 STATUS_COLOURS = {"green": (22, 128, 60), "amber": (217, 119, 6), "red": (200, 30, 40)}
 """Colours of the frames in the map, 8-bit sRGB."""

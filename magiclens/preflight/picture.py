@@ -1,93 +1,122 @@
-"""Does the exported file show the pictures, the right way round? Are the sources fine enough to be printed?"""
+"""Checks of the pictures: the exported file shows its targets the right way round, and the sources are fine enough."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from magiclens.contract.artifacts import FloatArray, IntArray, Lens, View
 from magiclens.images import resize, score
-from magiclens.preflight.exported import Exported
 from magiclens.preflight.finding import Finding, Status
-from magiclens.preflight.sight import Sight, looks
+from magiclens.preflight.mesh_file import MeshFile
+from magiclens.preflight.triangles import trace_triangles_for_views
 
-MARGIN_DB = 0.5
-"""By how much a mirror image must be the better one to be an alarm."""
-OFF_DB = 3.0
-"""By how much this rough picture may be worse than the run's; it tends to be better, as it is smaller."""
-FINE, COARSE = 12.0, 5.0
-"""Source pixels per mm: enough for any lens; too few, they alone cap the picture at 26 dB."""
-MOST_VIEWS = 8
-"""Frames of an animation that are looked at."""
-TURNS = ("as it is", "turned by 90 deg", "turned by 180 deg", "turned by 270 deg")
+if TYPE_CHECKING:
+    from magiclens.preflight.triangles_kernels import TracedTriangles
+
+_CLEARLY_BETTER_DB = 0.5
+"""Difference of PSNR from which a mirrored or turned picture counts as the better one."""
+_EXPECTED_LOSS_DB = 3.0
+"""Loss against the run's picture that is not suspicious. The check's picture tends to be better, as it is smaller."""
+_FINE_PX_PER_MM = 12.0
+"""Resolution of a source that is enough for any lens."""
+_COARSE_PX_PER_MM = 5.0
+"""Resolution of a source below which its pixels alone cap the picture at 26 dB."""
+CHECKED_VIEWS = 8
+"""Number of views that are checked; an animation has many more."""
+_TURNS = ("as it is", "turned by 90 deg", "turned by 180 deg", "turned by 270 deg")
 
 
-def mirror(
-    file: Exported, lens: Lens, views: Sequence[View], sights: Sequence[Sight], claimed_db: float | None
+def check_orientation(
+    file: MeshFile,
+    lens: Lens,
+    views: Sequence[View],
+    traced: Sequence[TracedTriangles],
+    run_psnr_db: float | None,
 ) -> Finding:
-    """The file's own picture against the targets, and against their mirror images and quarter turns; the file mirrored.
+    """Compare the picture of a mesh file with its targets, their mirror images and their quarter turns.
 
-    views: in the lens frame. sights: of the file's top, one per view. claimed_db: mean PSNR that the run has found in
-    its renders, None if there is none.
+    The file itself is mirrored, too: if that shows the targets better, its faces are inside out.
+
+    Args:
+        file: The mesh file.
+        lens: The lens.
+        views: All views, in the lens frame.
+        traced: What their eyes see of the file's top.
+        run_psnr_db: Mean PSNR of the run's pictures; None if it has taken none.
     """
-    views, sights = views[:MOST_VIEWS], sights[:MOST_VIEWS]
+    views, traced = views[:CHECKED_VIEWS], traced[:CHECKED_VIEWS]
     side = int(np.clip(lens.facets * lens.microfacets // 3, 12, 96))
-    seen = [rendered(sight, lens, view, side) for sight, view in zip(sights, views, strict=True)]
+    pictures = [picture_of_triangles(seen, lens, view, side) for seen, view in zip(traced, views, strict=True)]
     targets = [resize(view.target, (side, side)) for view in views]
-    images = {name: _mean(seen, [np.rot90(t, k) for t in targets]) for k, name in enumerate(TURNS)}
-    for k, name in enumerate(TURNS):
-        images[f"mirrored and {name}" if k else "mirrored"] = _mean(seen, [np.rot90(t[:, ::-1], k) for t in targets])
-    swapped = file.mirrored()
-    other = looks(swapped.triangles[file.on_top], lens, views)
-    flipped = _mean([rendered(s, lens, v, side) for s, v in zip(other, views, strict=True)], targets)
-    right = images.pop(TURNS[0])
-    best = max(images, key=lambda name: images[name])
+    psnr_db = {name: _mean_psnr_db(pictures, [np.rot90(t, k) for t in targets]) for k, name in enumerate(_TURNS)}
+    for k, name in enumerate(_TURNS):
+        mirrored = [np.rot90(t[:, ::-1], k) for t in targets]
+        psnr_db[f"mirrored and {name}" if k else "mirrored"] = _mean_psnr_db(pictures, mirrored)
+    flipped_file = file.mirrored()
+    flipped_traced = trace_triangles_for_views(flipped_file.triangles[file.on_top], lens, views)
+    flipped_pictures = [picture_of_triangles(t, lens, v, side) for t, v in zip(flipped_traced, views, strict=True)]
+    flipped = _mean_psnr_db(flipped_pictures, targets)
+    right = psnr_db.pop(_TURNS[0])
+    best = max(psnr_db, key=lambda name: psnr_db[name])
     text = f"rendered from {file.name}, the picture is {right:.1f} dB from its target"
-    good = -np.inf if claimed_db is None else claimed_db - OFF_DB
-    if flipped > max(right + MARGIN_DB, good):
+    good = -np.inf if run_psnr_db is None else run_psnr_db - _EXPECTED_LOSS_DB
+    if flipped > max(right + _CLEARLY_BETTER_DB, good):
         return Finding("mirror image", "red", f"{text}, but {flipped:.1f} dB if the file is mirrored: it is inside out")
-    if images[best] > max(right + MARGIN_DB, good):
-        return Finding("mirror image", "red", f"{text}, but {images[best]:.1f} dB from the target {best}")
+    if psnr_db[best] > max(right + _CLEARLY_BETTER_DB, good):
+        return Finding("mirror image", "red", f"{text}, but {psnr_db[best]:.1f} dB from the target {best}")
     if right < good:
-        return Finding("mirror image", "red", f"{text}; the run saw {claimed_db:.1f} dB: another lens, or turned?")
-    if images[best] > right - MARGIN_DB:
+        return Finding("mirror image", "red", f"{text}; the run saw {run_psnr_db:.1f} dB: another lens, or turned?")
+    if psnr_db[best] > right - _CLEARLY_BETTER_DB:
         text = f"{text}, which looks the same {best}; {flipped:.1f} dB if the file is mirrored"
         return Finding("mirror image", "green", text)
-    return Finding("mirror image", "green", f"{text}; mirrored or turned at best {max(flipped, images[best]):.1f} dB")
+    other = max(flipped, psnr_db[best])
+    return Finding("mirror image", "green", f"{text}; mirrored or turned at best {other:.1f} dB")
 
 
-def rendered(sight: Sight, lens: Lens, view: View, side: int) -> FloatArray:
-    """(side, side, C) float32: every triangle's light, from the source at its middle, gathered in the pixel it is in.
+def picture_of_triangles(traced: TracedTriangles, lens: Lens, view: View, side: int) -> FloatArray:
+    """The picture that a view's eye sees, made of one ray per triangle.
 
-    view: in the lens frame.
+    Every triangle's light, from the source pixel that its ray meets, is added to the pixel in which its middle is seen,
+    weighted by the area that it fills.
+
+    Args:
+        traced: What the eye sees of the top's triangles.
+        lens: The lens.
+        view: The view, in the lens frame.
+        side: Pixels per side of the picture.
+
+    Returns:
+        (side, side, C) float32, linear light.
     """
     source, scale = view.source, view.source.shape[1] / lens.source_size_mm
-    rows, columns = (_index(x * scale, n) for x, n in ((-sight.y, len(source)), (sight.x, source.shape[1])))
-    inside = (sight.through > 0) & (np.maximum(abs(sight.x), abs(sight.y)) <= lens.source_size_mm / 2)
-    light = source[rows, columns] * (sight.area * sight.through * inside)[:, None]
-    down, right = (_index(x * side / lens.size_mm, side) for x in (-sight.v, sight.u))
-    within = np.maximum(abs(sight.u), abs(sight.v)) <= lens.size_mm / 2
-    pixel, area = (down * side + right)[within], sight.area[within]
+    rows, columns = (_pixels(x * scale, n) for x, n in ((-traced.y, len(source)), (traced.x, source.shape[1])))
+    inside = (traced.through > 0) & (np.maximum(abs(traced.x), abs(traced.y)) <= lens.source_size_mm / 2)
+    light = source[rows, columns] * (traced.area * traced.through * inside)[:, None]
+    down, right = (_pixels(x * side / lens.size_mm, side) for x in (-traced.v, traced.u))
+    within = np.maximum(abs(traced.u), abs(traced.v)) <= lens.size_mm / 2
+    pixel, area = (down * side + right)[within], traced.area[within]
     total = [np.bincount(pixel, light[within, c], side * side) for c in range(source.shape[-1])]
     filled = np.maximum(np.bincount(pixel, area, side * side), 1e-9)
     return np.asarray((np.stack(total, axis=-1) / filled[:, None]).reshape(side, side, -1), np.float32)
 
 
-def resolution(lens: Lens, views: Sequence[View]) -> Finding:
-    """Pixels per mm of the coarsest source."""
+def check_source_resolution(lens: Lens, views: Sequence[View]) -> Finding:
+    """Grade the resolution, in pixels per mm, of the coarsest source."""
     coarsest = min(views, key=lambda view: len(view.source))
     per_mm = len(coarsest.source) / lens.source_size_mm
-    status: Status = "green" if per_mm >= FINE else "amber" if per_mm >= COARSE else "red"
+    status: Status = "green" if per_mm >= _FINE_PX_PER_MM else "amber" if per_mm >= _COARSE_PX_PER_MM else "red"
     dpi = f"print it at {25.4 * per_mm:.0f} dpi or finer"
     return Finding("source", status, f"{coarsest.source_name}.png has {per_mm:.3g} pixels per mm; {dpi}, true to scale")
 
 
-def _mean(seen: Sequence[FloatArray], targets: Sequence[FloatArray]) -> float:
-    pairs = zip(seen, targets, strict=True)
+def _mean_psnr_db(pictures: Sequence[FloatArray], targets: Sequence[FloatArray]) -> float:
+    pairs = zip(pictures, targets, strict=True)
     return float(np.mean([score(picture, target).psnr_db for picture, target in pairs]))
 
 
-def _index(places: FloatArray, count: int) -> IntArray:
-    """Pixels that places lie in, counted from the picture's middle."""
-    return np.asarray(np.clip((places + count / 2).astype(int), 0, count - 1))
+def _pixels(positions: FloatArray, count: int) -> IntArray:
+    """Indices of the pixels, of ``count`` along an axis, that positions lie in; positions count from the middle."""
+    return np.asarray(np.clip((positions + count / 2).astype(int), 0, count - 1))

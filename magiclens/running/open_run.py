@@ -22,7 +22,7 @@ from magiclens.running.folder import HEIGHTS, MANIFEST, load_heights, load_trans
 from magiclens.running.manifest import refresh_manifest, source_path
 
 if TYPE_CHECKING:
-    from magiclens.preflight.inspect import Preflight
+    from magiclens.preflight.finding import Preflight
 
 _FRAMES_PER_BATCH = 4
 """Frames that are encoded together; more would hold more pictures in memory at once."""
@@ -148,7 +148,7 @@ def check_run_folder(folder: str | Path, registry: Registry | None = None) -> tu
     Raises:
         InputError: The folder is no run folder, or has no mesh.
     """
-    from magiclens.preflight.inspect import inspect
+    from magiclens.preflight.checks import run_preflight
     from magiclens.preflight.page import preflight_text, write_preflight
     from magiclens.simulation.as_made import rough_pictures, write_pictures
 
@@ -158,7 +158,7 @@ def check_run_folder(folder: str | Path, registry: Registry | None = None) -> tu
         lens = OpenRun(path, plan, plan.scene())
         pictures = rough_pictures(plan.fabrication.machine, plan.on_medium(lens.printed_scene), lens.solid)
         write_pictures(pictures, lens.scene.views[: len(pictures)], path, "as-made-rough")
-    found = inspect(path, json.loads((path / MANIFEST).read_text(encoding="utf-8")), plan)
+    found = run_preflight(path, json.loads((path / MANIFEST).read_text(encoding="utf-8")), plan)
     write_preflight(found, path)
     refresh_manifest(path)
     return found, preflight_text(found)

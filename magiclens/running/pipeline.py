@@ -258,13 +258,13 @@ def _metrics(result: RunResult, answers: Analysed) -> dict[str, float]:
 
 def _preflight(plan: Plan, facts: dict[str, Any], solid: Solid, folder: Path) -> None:
     """Check what was exported, if it is a mesh."""
-    from magiclens.preflight.exported import mesh_files
+    from magiclens.preflight.mesh_file import mesh_files
 
     if mesh_files(folder):
-        from magiclens.preflight.inspect import inspect
+        from magiclens.preflight.checks import run_preflight
         from magiclens.preflight.page import write_preflight
 
-        write_preflight(inspect(folder, facts, plan, solid), folder)
+        write_preflight(run_preflight(folder, facts, plan, solid), folder)
 
 
 def _scores(scene: Scene, renders: Mapping[str, Sequence[FloatArray]]) -> ScoresByRenderer:

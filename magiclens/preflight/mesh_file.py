@@ -1,4 +1,4 @@
-"""Mesh files of a run folder, read back as the next program will read them."""
+"""The mesh files of a run folder, read back as other programs read them."""
 
 from __future__ import annotations
 
@@ -12,17 +12,21 @@ import numpy as np
 
 from magiclens.contract.artifacts import FloatArray, IntArray, Solid
 
-KINDS = ("stl", "ply", "glb", "3mf", "obj")
-"""Endings of mesh files, those that are quick to read first."""
-FLOOR_MM = 1e-4
-"""Vertices below this belong to the flat bottom."""
+_SUFFIXES = ("stl", "ply", "glb", "3mf", "obj")
+"""Suffixes of mesh files, those that are quick to read first."""
+BOTTOM_MM = 1e-4
+"""Height up to which vertices belong to the flat bottom, mm; floats in files are not exactly 0."""
 _STL = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-_MIX = (0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9)
+_HASH_FACTORS = (0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9)
+"""Odd numbers by which x, y and z are multiplied to hash a point."""
 
 
 @dataclass(frozen=True)
-class Exported:
-    """The triangles of a mesh file, (F, 3, 3) float32, mm, lens frame, outward if the file is right."""
+class MeshFile:
+    """The triangles of a mesh file.
+
+    triangles: (F, 3, 3) float32 corners, mm, lens frame, counter-clockwise as seen from outside if the file is right.
+    """
 
     path: Path
     triangles: FloatArray
@@ -40,36 +44,39 @@ class Exported:
 
     @cached_property
     def volume_mm3(self) -> float:
-        """By the divergence theorem; positive if faces point outward."""
+        """The volume by the divergence theorem; positive if faces point outward."""
         a, b, c = np.moveaxis(self.triangles, 1, 0)
         return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum(dtype=np.float64) / 6)
 
     @cached_property
     def on_top(self) -> IntArray:
         """Indices of the triangles that have no corner on the flat bottom."""
-        return np.flatnonzero(np.minimum.reduce(np.moveaxis(self.triangles[..., 2], 1, 0)) > FLOOR_MM)
+        return np.flatnonzero(np.minimum.reduce(np.moveaxis(self.triangles[..., 2], 1, 0)) > BOTTOM_MM)
 
-    def mirrored(self) -> Exported:
-        """The same body seen in a mirror that swaps -x and +x."""
+    def mirrored(self) -> MeshFile:
+        """The body mirrored in the plane x = 0."""
+        # reversing the corners keeps the faces pointing outward
         swapped = (self.triangles * np.array([-1, 1, 1], np.float32))[:, ::-1]
-        return Exported(self.path, np.ascontiguousarray(swapped))
+        return MeshFile(self.path, np.ascontiguousarray(swapped))
 
     def same_as(self, solid: Solid) -> bool:
-        """Whether the file holds just the faces of a solid, in its order, to float32."""
+        """Whether the file holds exactly the faces of a solid, in the same order, rounded to float32."""
         wanted = solid.vertices.astype(np.float32)
         count = len(self.triangles) == len(solid.faces)
         return count and bool((wanted[solid.faces] == self.triangles).all())
 
     def solid(self, eye_mm: FloatArray | None) -> Solid:
-        """The closed mesh that the triangles make where corners coincide; vertices of the top first.
+        """The closed mesh that the triangles form when equal corners are joined; vertices of the top come first.
 
-        ``eye_mm`` is along whose rays the top was cut, None for vertical cells. The grid says how many belong to the
-        top, not how they lie: the built-in tracer cannot take this solid.
+        Its grid says only how many vertices belong to the top, not how they lie, so the built-in tracer cannot use it.
+
+        Args:
+            eye_mm: (3,) eye along whose rays the top was cut; None for vertical cells.
         """
-        corners = self.triangles.reshape(-1, 3) + np.float32(0)
+        corners = self.triangles.reshape(-1, 3) + np.float32(0)  # turns -0 into 0, which has other bits
         first, index = _distinct(corners)
         vertices = corners[first].astype(np.float64)
-        low = vertices[:, 2] <= FLOOR_MM
+        low = vertices[:, 2] <= BOTTOM_MM
         order = np.argsort(low, kind="stable")
         rank = np.empty(len(order), np.int64)
         rank[order] = np.arange(len(order))
@@ -77,28 +84,28 @@ class Exported:
         return Solid(vertices[order], faces, (int((~low).sum()), 1), eye_mm)
 
 
-def read_exported(path: Path) -> Exported:
-    """Read one mesh file, whatever its kind, in millimetres. Raises ValueError if it is none."""
+def read_mesh_file(path: Path) -> MeshFile:
+    """Read an STL, PLY, GLB, 3MF or OBJ file. Raises ValueError if it is broken; other readers raise other errors."""
     if path.suffix == ".stl":
         content = path.read_bytes()
         count = int.from_bytes(content[80:84], "little")
         if len(content) != 84 + _STL.itemsize * count:
             raise ValueError(f"{path.name} is cut short or is not binary STL")
-        return Exported(path, np.ascontiguousarray(np.frombuffer(content, _STL, count, 84)["corners"]))
+        return MeshFile(path, np.ascontiguousarray(np.frombuffer(content, _STL, count, 84)["corners"]))
     if path.suffix == ".3mf":
-        return Exported(path, _three_mf(path))
+        return MeshFile(path, _three_mf(path))
     from trimesh import load_mesh
 
     mesh = load_mesh(str(path), process=False)
     triangles = np.asarray(mesh.triangles)
-    if path.suffix == ".glb":  # metres, +y up
+    if path.suffix == ".glb":  # glTF is in metres and has +y up
         x, up, away = np.moveaxis(triangles * 1000, -1, 0)
         triangles = np.stack([x, -away, up], axis=-1)
-    return Exported(path, triangles.astype(np.float32))
+    return MeshFile(path, triangles.astype(np.float32))
 
 
 def _three_mf(path: Path) -> FloatArray:
-    """(F, 3, 3) float32: the triangles of the one mesh of a 3MF package in millimetres, where the mesh has them."""
+    """(F, 3, 3) float32: the triangles of the one mesh of a 3MF package in millimetres, without its placement."""
     vertices: list[tuple[float, ...]] = []
     faces: list[tuple[int, ...]] = []
     with ZipFile(path) as archive, archive.open("3D/3dmodel.model") as model:
@@ -115,14 +122,19 @@ def _three_mf(path: Path) -> FloatArray:
 
 def mesh_files(folder: Path) -> list[Path]:
     """The mesh files of a run folder, those that are quick to read first."""
-    return [path for path in (folder / f"lens.{kind}" for kind in KINDS) if path.is_file()]
+    return [path for path in (folder / f"lens.{suffix}" for suffix in _SUFFIXES) if path.is_file()]
 
 
 def _distinct(points: FloatArray) -> tuple[IntArray, IntArray]:
-    """Of points (P, 3) float32: the first of each distinct one, and for all points which of these they are."""
+    """Find equal points among (P, 3) float32.
+
+    Returns:
+        (D,) index of the first of each group of equal points, and (P,) the group of each point.
+    """
     bits = np.ascontiguousarray(points, np.float32).view(np.uint32).astype(np.uint64)
-    mixed = (bits * np.array(_MIX, np.uint64)).sum(axis=1, dtype=np.uint64)
+    # sorting one hash per point is much faster than sorting rows
+    mixed = (bits * np.array(_HASH_FACTORS, np.uint64)).sum(axis=1, dtype=np.uint64)
     _, first, index = np.unique(mixed ^ (mixed >> np.uint64(29)), return_index=True, return_inverse=True)
-    if not (points[first][index] == points).all():  # two points were mixed into one number
+    if not (points[first][index] == points).all():  # different points had one hash
         _, first, index = np.unique(points, axis=0, return_index=True, return_inverse=True)
     return first, index.ravel()

@@ -1,0 +1,123 @@
+"""All checks of a run folder, in the order in which the page shows them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from magiclens.contract.artifacts import FloatArray, Lens, Solid, View
+from magiclens.contract.errors import InputError
+from magiclens.images.files import read_image
+from magiclens.plan.compile import Plan
+from magiclens.preflight.body import body_checked_by_finisher, check_body, check_same_body, check_size
+from magiclens.preflight.finding import Finding, Preflight
+from magiclens.preflight.light import check_fresnel_loss, check_slopes, check_total_reflection
+from magiclens.preflight.machine import (
+    check_as_made,
+    check_bed,
+    check_bottom,
+    check_detail,
+    check_material,
+    check_thickness,
+    check_tool_reach,
+)
+from magiclens.preflight.mesh_file import mesh_files, read_mesh_file
+from magiclens.preflight.picture import CHECKED_VIEWS, check_orientation, check_source_resolution
+from magiclens.preflight.triangles import TopTriangles, top_triangles, trace_triangles_for_views
+from magiclens.profiles.machines import Machine, Mill
+from magiclens.profiles.materials import materials
+
+
+def run_preflight(folder: Path, manifest: Mapping[str, Any], plan: Plan, solid: Solid | None = None) -> Preflight:
+    """Check the files of a run folder against its manifest and its plan.
+
+    Args:
+        folder: The run folder.
+        manifest: Its manifest; one without the list of files will do.
+        plan: The plan of its spec.
+        solid: The finished lens, given by a run that has just made it. If the first mesh file holds exactly this solid,
+            what the finisher has found is true of the file and is not searched for again, and other mesh files are left
+            to ``mlens preflight``.
+
+    Raises:
+        InputError: There is no mesh file.
+    """
+    machine = plan.fabrication.machine if plan.fabrication else None
+    made_by = plan.fabrication.profile.title if plan.fabrication else ""
+    paths = mesh_files(folder)
+    if not paths:
+        raise InputError("there is no mesh file to be made; add an exporter such as stl", str(folder))
+    try:
+        file = read_mesh_file(paths[0])
+    except Exception as error:  # readers of broken files raise anything
+        broken = Finding("mesh", "red", f"{paths[0].name} cannot be read: {error}")
+        return Preflight(str(manifest["name"]), made_by, [broken], None)
+    lens, views = plan.lens, _stored_views(folder, manifest)
+    eye = lens.cut_along(np.mean([view.eye_mm for view in views], axis=0))
+    known = body_checked_by_finisher(manifest["metrics"], file.name) if solid and file.same_as(solid) else None
+    body = known or check_body(file, lens, eye)
+    body.append(check_size(file, lens))
+    if len(paths) > 1 and solid is None:
+        body.append(check_same_body(file, paths[1:]))
+    if any(finding.check == "size" and finding.status == "red" for finding in body) or not len(file.on_top):
+        return Preflight(str(manifest["name"]), made_by, body, None)
+    top = top_triangles(file, lens, eye)
+    traced = trace_triangles_for_views(top.triangles, lens, views)
+    findings = [
+        *body,
+        check_bottom(file),
+        check_thickness(file, top, lens, machine),
+        check_slopes(top, lens, *_slope_limit(plan, machine)),
+        check_fresnel_loss(top, lens, traced),
+        check_total_reflection(top, lens, traced),
+        *([check_detail(lens, machine)] if machine else []),
+        *([check_tool_reach(file, top, lens, machine)] if isinstance(machine, Mill) else []),
+        check_bed(file, machine),
+        check_material(file, machine, materials().get(plan.spec.lens.material or "")),
+        *check_as_made(manifest["metrics"]),
+        check_orientation(file, lens, views, traced, _run_psnr_db(manifest)),
+        check_source_resolution(lens, views),
+    ]
+    return Preflight(str(manifest["name"]), made_by, findings, _mean_slopes_deg(top, lens))
+
+
+def _stored_views(folder: Path, manifest: Mapping[str, Any]) -> list[View]:
+    """The views of a run, in the lens frame, with the pictures that its folder holds."""
+    listed = manifest["views"]
+    pictures = {path: read_image(folder / path) for view in listed for path in (view["source"], view["target"])}
+    return [
+        View(
+            view["name"],
+            pictures[view["source"]],
+            pictures[view["target"]],
+            np.array(view["eye_mm"], float),
+            view["rotation_deg"],
+            Path(view["source"]).stem,
+            Path(view["target"]).stem,
+        ).in_lens_frame()
+        for view in listed
+    ]
+
+
+def _slope_limit(plan: Plan, machine: Machine | None) -> tuple[float, str]:
+    """The steepest slope allowed, degrees, and the name of what allows it."""
+    if machine is None or plan.fabrication is None:
+        return plan.lens.max_slope_deg, "the spec"
+    return machine.max_slope, plan.fabrication.name
+
+
+def _run_psnr_db(manifest: Mapping[str, Any]) -> float | None:
+    """The mean PSNR of the run's pictures of the checked views; None if the run has taken none."""
+    found = [view["psnr_db"] for view in manifest["views"][:CHECKED_VIEWS]]
+    return None if None in found else float(np.mean(found))
+
+
+def _mean_slopes_deg(top: TopTriangles, lens: Lens) -> FloatArray:
+    """(N, N) mean slope of each facet, without walls."""
+    inside = ~top.wall
+    total = np.bincount(top.facet[inside], top.slope_deg[inside], lens.facets**2)
+    count = np.bincount(top.facet[inside], minlength=lens.facets**2)
+    return (total / np.maximum(count, 1)).reshape(lens.facets, lens.facets)

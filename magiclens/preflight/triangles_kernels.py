@@ -1,0 +1,89 @@
+"""Kernels that trace the triangles of an exported top, one ray for each."""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit, prange
+
+from magiclens.contract.artifacts import FloatArray
+from magiclens.optics.refraction import refract, transmittance
+
+
+class TracedTriangles(NamedTuple):
+    """What one eye sees of triangles, by the ray through the middle of each; all (F,) float64, lens frame, mm.
+
+    u, v: where the triangle's middle is seen on the reference plane. area: how much of the reference plane the
+    triangle fills, mm^2; 0 if it faces away from the eye. cosine: of the angle between normal and ray. x, y: where
+    the ray meets the source. through: share of the light that passes; 0 if the flat bottom reflects it totally.
+    """
+
+    u: FloatArray
+    v: FloatArray
+    area: FloatArray
+    cosine: FloatArray
+    x: FloatArray
+    y: FloatArray
+    through: FloatArray
+
+
+@njit(cache=True, parallel=True)
+def trace_middles(triangles, eye, thickness, gap, ior):
+    """Trace a ray from the eye through the middle g of each triangle, by Snell's and Fresnel's laws, to the source.
+
+    With n the unit normal, d the unit direction of the ray and s = (eye_z - thickness) / (eye_z - g_z), the middle is
+    seen at ``eye + s (g - eye)`` on the reference plane, and the triangle of area A fills ``A (-d . n) s^2 / -d_z``
+    of it. The ray is refracted at the triangle (direction t) and at the flat bottom z = 0 (direction o), and meets the
+    source, at z = -gap, at ``g - t g_z / t_z - o gap / o_z``.
+
+    Args:
+        triangles: (F, 3, 3) corners, mm.
+        eye: (3,) mm.
+        thickness: Height of the reference plane, mm.
+        gap: Distance between flat bottom and source, mm.
+        ior: Index of refraction.
+
+    Returns:
+        TracedTriangles.
+    """
+    count = len(triangles)
+    u, v, area, cosines = np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count)
+    x, y, through = np.zeros(count), np.zeros(count), np.zeros(count)
+    for f in prange(count):
+        ax, ay, az = float(triangles[f, 0, 0]), float(triangles[f, 0, 1]), float(triangles[f, 0, 2])
+        bx, by, bz = float(triangles[f, 1, 0]), float(triangles[f, 1, 1]), float(triangles[f, 1, 2])
+        cx, cy, cz = float(triangles[f, 2, 0]), float(triangles[f, 2, 1]), float(triangles[f, 2, 2])
+        px, py, pz = bx - ax, by - ay, bz - az
+        qx, qy, qz = cx - ax, cy - ay, cz - az
+        nx, ny, nz = py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx
+        double = sqrt(nx * nx + ny * ny + nz * nz)
+        if double == 0.0:
+            continue
+        nx, ny, nz = nx / double, ny / double, nz / double
+        gx, gy, gz = (ax + bx + cx) / 3, (ay + by + cy) / 3, (az + bz + cz) / 3
+        dx, dy, dz = gx - eye[0], gy - eye[1], gz - eye[2]
+        far = sqrt(dx * dx + dy * dy + dz * dz)
+        dx, dy, dz = dx / far, dy / far, dz / far
+        cosine = -(dx * nx + dy * ny + dz * nz)
+        stretch = (eye[2] - thickness) / (eye[2] - gz)
+        u[f] = eye[0] + (gx - eye[0]) * stretch
+        v[f] = eye[1] + (gy - eye[1]) * stretch
+        cosines[f] = cosine
+        if cosine <= 0.0 or dz >= 0.0:
+            continue
+        area[f] = 0.5 * double * cosine * stretch * stretch / -dz
+        tx, ty, tz = refract(dx, dy, dz, nx, ny, nz, ior)
+        if tz >= 0.0:
+            continue
+        weight = transmittance(cosine, ior) * transmittance(-tz, 1.0 / ior)
+        if weight <= 0.0:
+            continue
+        ox, oy, oz = refract(tx, ty, tz, 0.0, 0.0, 1.0, 1.0 / ior)
+        if oz >= 0.0:
+            continue
+        x[f] = gx - tx * gz / tz - ox * gap / oz
+        y[f] = gy - ty * gz / tz - oy * gap / oz
+        through[f] = weight
+    return TracedTriangles(u, v, area, cosines, x, y, through)
