@@ -517,8 +517,8 @@ class TestDoubledScenario(ScenarioContract):
 class Glaring(Single):
     """Its targets are brighter than white."""
 
-    def compiled(self, lens: Lens, viewer: Viewer, art: Mapping[str, Any]) -> Any:
-        return tuple(replace(view, target=view.target * 2) for view in super().compiled(lens, viewer, art))
+    def make_views(self, lens: Lens, viewer: Viewer, art: Mapping[str, Any]) -> Any:
+        return tuple(replace(view, target=view.target * 2) for view in super().make_views(lens, viewer, art))
 
 
 @must_fail("pictures_are_light_of_the_same_channels_and_the_same_each_time")

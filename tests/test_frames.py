@@ -10,7 +10,7 @@ import pytest
 
 from magiclens.contract.artifacts import FloatArray
 from magiclens.contract.errors import InputError
-from magiclens.images.convert import convert
+from magiclens.images.convert import convert_pictures
 from magiclens.images.files import read_image, write_png
 from magiclens.images.movies import frame_rate, read_frames, write_gif
 
@@ -35,20 +35,20 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_one_picture_becomes_one_png(folder: Path, tmp_path: Path) -> None:
-    out = convert(darker, folder / "f10.png", tmp_path / "new" / "out.png")
+    out = convert_pictures(darker, folder / "f10.png", tmp_path / "new" / "out.png")
     assert read_image(out) == pytest.approx(0.5, abs=0.005)
 
 
 @pytest.mark.parametrize("name", ["out.gif", "out.mp4", "out"])
 def test_a_folder_becomes_a_movie_or_a_folder(folder: Path, tmp_path: Path, name: str) -> None:
-    out = convert(darker, folder, tmp_path / name)
+    out = convert_pictures(darker, folder, tmp_path / name)
     seen = [float(frame.mean()) for frame in read_frames(out)]
     assert seen == pytest.approx([level / 2 for level in LEVELS], abs=0.01)
 
 
 def test_a_movie_keeps_its_frame_rate(tmp_path: Path) -> None:
     write_gif(tmp_path / "in.gif", [flat(level) for level in LEVELS], 20)
-    assert frame_rate(convert(darker, tmp_path / "in.gif", tmp_path / "out.mp4")) == pytest.approx(20)
+    assert frame_rate(convert_pictures(darker, tmp_path / "in.gif", tmp_path / "out.mp4")) == pytest.approx(20)
 
 
 @pytest.mark.parametrize(
@@ -64,7 +64,7 @@ def test_a_movie_keeps_its_frame_rate(tmp_path: Path) -> None:
 def test_results_that_do_not_fit_are_refused(folder: Path, source: str, out: str, message: str) -> None:
     before = sorted(folder.iterdir())
     with pytest.raises(InputError, match=message):
-        convert(darker, folder / source, folder / out)
+        convert_pictures(darker, folder / source, folder / out)
     assert sorted(folder.iterdir()) == before
 
 
@@ -75,5 +75,5 @@ def test_failing_work_leaves_nothing_behind(folder: Path, tmp_path: Path, name: 
         raise InputError("too dark")
 
     with pytest.raises(InputError, match="too dark"):
-        convert(fails, folder, tmp_path / name)
+        convert_pictures(fails, folder, tmp_path / name)
     assert [path.name for path in tmp_path.iterdir()] == ["in"]

@@ -302,7 +302,7 @@ def test_a_scenario_that_fails_is_named(registry: Registry, write_spec: SpecWrit
     class Faulty(Rotating):
         type: ClassVar[str] = "faulty"
 
-        def compiled(self, *_: Any) -> Any:
+        def make_views(self, *_: Any) -> Any:
             raise RuntimeError("no view")
 
     scenarios = hookimpl(lambda: [Faulty], specname="mlens_scenarios")

@@ -33,7 +33,7 @@ ART = {
 
 
 def single(source: dict[str, object], target: dict[str, object]) -> View:
-    (view,) = Single.model_validate({"source": source, "target": target}).compiled(LENS, VIEWER, ART)
+    (view,) = Single.model_validate({"source": source, "target": target}).make_views(LENS, VIEWER, ART)
     return view
 
 
@@ -51,18 +51,18 @@ def test_a_single_view_is_called_single() -> None:
 
 
 def test_rotations_count_up_in_quarter_turns_by_default() -> None:
-    views = rotating(targets=[{"art": "grey"}] * 3).compiled(LENS, VIEWER, ART)
+    views = rotating(targets=[{"art": "grey"}] * 3).make_views(LENS, VIEWER, ART)
     assert [v.rotation_deg for v in views] == [0, 90, 180]
     assert [v.name for v in views] == [v.target_name for v in views] == ["rotation-000", "rotation-090", "rotation-180"]
 
 
 def test_a_negative_angle_is_the_turn_it_ends_at() -> None:
-    (view,) = rotating(targets=[{"art": "grey"}], angles=["-90deg"]).compiled(LENS, VIEWER, ART)
+    (view,) = rotating(targets=[{"art": "grey"}], angles=["-90deg"]).make_views(LENS, VIEWER, ART)
     assert (view.name, view.rotation_deg, view.quarter_turns) == ("rotation-270", 270, 3)
 
 
 def test_all_rotations_share_one_source() -> None:
-    views = rotating(targets=[{"art": "grey"}] * 2).compiled(LENS, VIEWER, ART)
+    views = rotating(targets=[{"art": "grey"}] * 2).make_views(LENS, VIEWER, ART)
     assert views[0].source is views[1].source
 
 
@@ -72,7 +72,7 @@ def test_all_pictures_grey_make_one_channel() -> None:
 
 
 def test_one_coloured_picture_gives_all_three_channels() -> None:
-    views = rotating(targets=[{"art": "grey"}, {"art": "red"}]).compiled(LENS, VIEWER, ART)
+    views = rotating(targets=[{"art": "grey"}, {"art": "red"}]).make_views(LENS, VIEWER, ART)
     assert {p.shape[-1] for v in views for p in (v.source, v.target)} == {3}
     assert views[1].target[0, 0].tolist() == [1, 0, 0]
     assert (np.ptp(views[0].source, axis=-1) == 0).all()
@@ -134,7 +134,7 @@ def test_text_targets_have_1024_pixels() -> None:
 
 def test_a_sources_size_becomes_the_lenss() -> None:
     scenario = Single.model_validate({"source": {**CIRCLES, "size": "110mm"}, "target": {"art": "grey"}})
-    assert scenario.fit(LENS, VIEWER).source_size_mm == 110
+    assert scenario.fitted_lens(LENS, VIEWER).source_size_mm == 110
     assert single(CIRCLES, {"art": "grey"}).source.shape == (300, 300, 1)
 
 
@@ -147,7 +147,7 @@ def test_sources_of_different_sizes_are_refused() -> None:
 
     scenario = Two.model_validate({"source": CIRCLES, "target": {"art": "grey"}})
     with pytest.raises(ValueError, match="all sources need the same size, found 10mm, 20mm"):
-        scenario.fit(LENS, VIEWER)
+        scenario.fitted_lens(LENS, VIEWER)
 
 
 def test_a_plans_scene_has_pictures(write_spec: SpecWriter, registry: Registry) -> None:
@@ -180,7 +180,7 @@ def test_an_eye_may_be_placed_beside_the_viewers() -> None:
 
 def test_all_eyes_share_one_source_and_see_their_own_targets() -> None:
     views = [{"target": {"art": art}, "eye": {"tilt": tilt}} for art, tilt in (("grey", "0deg"), ("red", "5deg"))]
-    left, right = MultiView.model_validate({"source": CIRCLES, "views": views}).compiled(LENS, VIEWER, ART)
+    left, right = MultiView.model_validate({"source": CIRCLES, "views": views}).make_views(LENS, VIEWER, ART)
     assert left.source is right.source
     assert (left.name, right.name, left.target_name, right.target_name) == ("eye-0", "eye-1", "eye-0", "eye-1")
     assert left.target[0, 0].tolist() == [0.5, 0.5, 0.5]
@@ -272,10 +272,10 @@ def test_lenses_for_several_eyes_bleed_and_lean_out_as_far_as_the_source_reaches
 
 def test_an_eye_aside_of_a_rotating_lens_is_several_eyes_to_the_lens() -> None:
     turning = rotating(targets=[{"art": "grey"}] * 2)
-    lenses = [turning.fit(LENS, Viewer.model_validate({"distance": "300mm", "x": x})) for x in ("0mm", "7mm")]
+    lenses = [turning.fitted_lens(LENS, Viewer.model_validate({"distance": "300mm", "x": x})) for x in ("0mm", "7mm")]
     assert [lens.bleed_mm > 0 for lens in lenses] == [False, True]
     shot = turning.shots(LENS, VIEWER)[1]
-    view = turning.compiled(LENS, VIEWER, ART)[1]
+    view = turning.make_views(LENS, VIEWER, ART)[1]
     np.testing.assert_allclose(shot.eye_in_lens_frame_mm, view.in_lens_frame().eye_mm)
 
 

@@ -46,7 +46,7 @@ def test_a_built_in_loop_has_all_its_frames() -> None:
 def test_a_movie_gives_one_view_per_frame(tmp_path: Path) -> None:
     levels = (0.1, 0.6)
     write_gif(tmp_path / "a.gif", [np.full((30, 20, 1), level, np.float32) for level in levels], 5)
-    views = animation(frames={"movie": str(tmp_path / "a.gif")}).compiled(LENS, VIEWER, ART)
+    views = animation(frames={"movie": str(tmp_path / "a.gif")}).make_views(LENS, VIEWER, ART)
     assert [view.name for view in views] == ["frame-00", "frame-01"]
     for view, level in zip(views, levels, strict=True):
         assert view.target.shape[:2] == (30, 30)
@@ -80,7 +80,7 @@ def test_questions_reserve_their_ink_and_a_margin() -> None:
     near, far = (questions(margin=margin).reserved(LENS, ART) for margin in ("0mm", "1mm"))
     assert near is not None
     assert far is not None
-    for view in questions().compiled(LENS, VIEWER, ART):
+    for view in questions().make_views(LENS, VIEWER, ART):
         assert near[view.source[..., 0] < 0.9].all()
     assert not near[200:].any()
     assert (far >= near).all()
@@ -92,8 +92,8 @@ def test_questions_reserve_their_ink_and_a_margin() -> None:
 def test_a_lens_for_given_questions_reserves_nothing_and_paints_nothing() -> None:
     scenario = questions(lens="source-optimized")
     assert scenario.reserved(LENS, ART) is None
-    assert scenario.suited() == {}
-    assert questions().suited()["matcher"]["type"] == "dart-throwing"
+    assert scenario.suitable_stages() == {}
+    assert questions().suitable_stages()["matcher"]["type"] == "dart-throwing"
 
 
 @pytest.mark.parametrize(

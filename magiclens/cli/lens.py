@@ -29,12 +29,12 @@ def encode_command(
 ) -> None:
     """Paint the source that shows PICTURES through the universal lens of RUN_DIR."""
     with reporting(traceback):
-        from magiclens.images.convert import convert
+        from magiclens.images.convert import convert_pictures
         from magiclens.running.open_run import open_run
 
         lens = open_run(run_dir)
         px_per_mm = len(lens.view(view).source) / lens.plan.lens.source_size_mm
-        typer.echo(convert(lambda frames: lens.encode(frames, view), pictures, out, px_per_mm))
+        typer.echo(convert_pictures(lambda frames: lens.encode(frames, view), pictures, out, px_per_mm))
 
 
 def decode_command(
@@ -48,11 +48,11 @@ def decode_command(
 ) -> None:
     """Show what the eye sees through the lens of RUN_DIR when SOURCES lie below it."""
     with reporting(traceback):
-        from magiclens.images.convert import convert
+        from magiclens.images.convert import convert_pictures
         from magiclens.running.open_run import open_run
 
         lens = open_run(run_dir)
-        typer.echo(convert(lambda frames: lens.decode(frames, view), sources, out))
+        typer.echo(convert_pictures(lambda frames: lens.decode(frames, view), sources, out))
 
 
 def preflight_command(

@@ -1,6 +1,7 @@
 """Pictures in linear light: files, colour, resampling, scores, and generated sources and targets.
 
-An image is an (H, W, C) float32 array of linear light 0..1; C is 1 (grey) or 3 (RGB); row 0 is +y, column 0 is -x.
+An image is an (H, W, C) float32 array of linear light, 0 to 1; C is 1 (grey) or 3 (RGB). Row 0 is at +y, column 0 at
+-x.
 """
 
 from magiclens.images.art import ART, art

@@ -1,4 +1,4 @@
-"""The built-in pictures by name. Each is drawn from outlines at any size."""
+"""Built-in pictures by name. They are drawn from outlines, so they have any size."""
 
 from __future__ import annotations
 
@@ -17,12 +17,21 @@ from magiclens.images.raster import rasterize
 from magiclens.images.vector import Layer, centred
 
 _WORM_FRAMES = 8
+"""Frames of the built-in loop ``worm``."""
 
 
 def art(name: str, size_px: int) -> FloatArray:
-    """(size_px, size_px, C) float32, linear light: a built-in picture; C is 1 for black and white, 3 for colour.
+    """Draw a built-in picture.
 
-    Raises InputError for an unknown name, with the nearest known one.
+    Args:
+        name: Its name, see ``ART``.
+        size_px: Its side.
+
+    Returns:
+        (size_px, size_px, C) float32, linear light; C is 1 for black and white, 3 for colour.
+
+    Raises:
+        InputError: There is no such picture; the message names the nearest one.
     """
     if name not in ART:
         near = get_close_matches(name, ART, n=1, cutoff=0.4)
@@ -32,17 +41,17 @@ def art(name: str, size_px: int) -> FloatArray:
 
 
 def _silhouette(drawing: Callable[[], Sequence[Layer]], size_px: int) -> FloatArray:
-    """Black on white, centred."""
+    """A picture in black on white, centred."""
     return rasterize(centred(drawing()), size_px)
 
 
 def _worm(frame: int, size_px: int) -> FloatArray:
-    """One frame of the worm's loop; frames share one camera, so nothing is centred."""
+    """One frame of the worm's loop. It is not centred, since all frames are seen by one camera."""
     return rasterize(worm(frame, _WORM_FRAMES), size_px)
 
 
 def _painting(drawing: Callable[[], Sequence[Layer]], size_px: int) -> FloatArray:
-    """Colour up to the edges."""
+    """A picture in colour that fills the square."""
     return rasterize(drawing(), size_px, paper=(1.0, 1.0, 1.0))
 
 
@@ -80,4 +89,4 @@ ART: dict[str, Callable[[int], FloatArray]] = {
     **{f"worm-{k}": partial(_worm, k) for k in range(_WORM_FRAMES)},
     **{drawing.__name__: partial(_painting, drawing) for drawing in _PAINTINGS},
 }
-"""From a name to a function of the size in pixels."""
+"""Built-in pictures: functions from a size in pixels to (size, size, C) linear light, by name."""

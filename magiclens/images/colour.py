@@ -1,4 +1,4 @@
-"""sRGB display values and linear light. Light adds up in linear light; the eye compares display values."""
+"""sRGB display values and linear light: light adds up in linear light, the eye compares display values."""
 
 from __future__ import annotations
 
@@ -11,23 +11,29 @@ _LUMINANCE = (0.2126, 0.7152, 0.0722)
 
 
 def to_linear(srgb: FloatArray) -> FloatArray:
-    """Linear light of display values 0..1 (the exact sRGB curve); values outside are clipped. Keeps shape and dtype."""
+    """Linear light of display values 0..1, by the exact sRGB curve (IEC 61966-2-1), with the same shape and dtype.
+
+    Values outside 0..1 are clipped.
+    """
     v = np.clip(srgb, 0.0, 1.0)
     return np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4)
 
 
 def to_display(linear: FloatArray) -> FloatArray:
-    """Display values 0..1 of linear light (the exact sRGB curve); light outside is clipped. Keeps shape and dtype."""
+    """Display values 0..1 of linear light, by the exact sRGB curve (IEC 61966-2-1), with the same shape and dtype.
+
+    Light outside 0..1 is clipped.
+    """
     v = np.clip(linear, 0.0, 1.0)
     return np.where(v <= 0.0031308, v * 12.92, 1.055 * v ** (1 / 2.4) - 0.055)
 
 
 def grey(image: FloatArray) -> FloatArray:
-    """(H, W, 1) if every pixel of an (H, W, C) image has equal channels, else the image itself."""
+    """(H, W, 1) if the channels of every pixel of an image (H, W, C) are equal, else the image itself."""
     first = image[..., :1]
     return first if bool((image == first).all()) else image
 
 
 def luminance(linear: FloatArray) -> FloatArray:
-    """(H, W) luminance 0..1 of an (H, W, C) image in linear light, C = 1 or 3."""
+    """(H, W) luminance 0..1 of an image (H, W, C) in linear light, C = 1 or 3."""
     return linear[..., 0] if linear.shape[-1] == 1 else linear @ np.asarray(_LUMINANCE, linear.dtype)

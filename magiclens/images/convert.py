@@ -1,4 +1,4 @@
-"""Pictures in, pictures out: one file, a folder, a GIF or a movie, whatever the names say."""
+"""Conversion of picture files: one picture, a folder, a GIF or a movie is read, changed, and written again."""
 
 from __future__ import annotations
 
@@ -12,35 +12,45 @@ from magiclens.contract.errors import InputError
 from magiclens.images.files import read_image, write_png
 
 _FPS = 10.0
-"""Of animations made from a folder of pictures."""
-
+"""Frames per second of animations that are made from a folder of pictures."""
 _MOVIES = (".gif", ".mp4")
-Work = Callable[[Iterable[FloatArray]], Iterator[FloatArray]]
+
+Conversion = Callable[[Iterable[FloatArray]], Iterator[FloatArray]]
+"""A function from pictures (H, W, C), linear light, to as many pictures."""
 
 
-def convert(work: Work, source: Path, out: Path, px_per_mm: float | None = None) -> Path:
-    """Read pictures, do the work on them and write the results to ``out``, which appears whole or not at all.
+def convert_pictures(conversion: Conversion, source: Path, out: Path, px_per_mm: float | None = None) -> Path:
+    """Read pictures, convert them, and write the results, all of them or nothing.
 
-    One picture becomes one PNG. Several become a GIF, an MP4 or, if ``out`` has no ending, a folder of numbered PNGs.
-    Raises InputError when ``out`` cannot hold what ``source`` is.
+    Args:
+        conversion: What is done to the pictures.
+        source: A picture file, a folder of pictures, or a movie.
+        out: A PNG file for one picture. For several, a GIF or MP4 file or, without a suffix, a folder of numbered PNGs.
+        px_per_mm: Resolution that PNG files state.
+
+    Returns:
+        ``out``.
+
+    Raises:
+        InputError: There is no ``source``, or ``out`` has the wrong suffix or is a folder that is not empty.
     """
     from magiclens.images.movies import frame_rate, is_still, read_frames, write_gif, write_mp4
 
     if not source.exists():
         raise InputError(f"there is no picture '{source}'")
     many = not is_still(source)
-    ending = out.suffix.lower()
-    if ending not in (("", *_MOVIES) if many else (".png",)):
+    suffix = out.suffix.lower()
+    if suffix not in (("", *_MOVIES) if many else (".png",)):
         wanted = "a .gif, an .mp4 or a folder" if many else "a .png"
         raise InputError(f"'{out}' cannot hold this; write {wanted}", "--out")
-    results = work(read_frames(source) if many else [read_image(source)])
+    results = conversion(read_frames(source) if many else [read_image(source)])
     rate = frame_rate(source) if many else None
-    with _appearing(out) as path:
+    with _partial_path(out) as path:
         if not many:
             write_png(path, next(results), px_per_mm)
-        elif ending == ".gif":
+        elif suffix == ".gif":
             write_gif(path, results, rate or _FPS)
-        elif ending == ".mp4":
+        elif suffix == ".mp4":
             write_mp4(path, results, rate or _FPS)
         else:
             path.mkdir()
@@ -50,8 +60,11 @@ def convert(work: Work, source: Path, out: Path, px_per_mm: float | None = None)
 
 
 @contextmanager
-def _appearing(out: Path) -> Iterator[Path]:
-    """A path beside ``out``, renamed to ``out`` at the end; an old file gives way, a folder with files does not."""
+def _partial_path(out: Path) -> Iterator[Path]:
+    """Yield a path beside ``out``, which becomes ``out`` if the block succeeds; an old file is replaced.
+
+    Raises InputError if ``out`` is a folder that is not empty.
+    """
     if out.is_dir() and any(out.iterdir()):
         raise InputError(f"'{out}' is not empty; choose another folder", "--out")
     out.parent.mkdir(parents=True, exist_ok=True)

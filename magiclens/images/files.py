@@ -15,22 +15,29 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 _SIXTEEN_BIT = ("I", "I;16", "I;16L", "I;16B", "I;16N")
-"""Pillow's modes for 16-bit greys; it also reads some 16-bit PNGs as 32-bit ``I``."""
+"""Pillow's modes of 16-bit grey pictures; it reads some 16-bit PNGs as 32-bit ``I``."""
 
 
 def read_image(path: str | PathLike[str]) -> FloatArray:
-    """(H, W, C) float32, linear light: C = 1 if the picture is grey, else 3. Row 0 is the top as a viewer shows it.
+    """Read an image file; transparent pixels are composited over white paper.
 
-    Transparency is composited over white paper. Raises InputError when the file is missing or not an image.
+    Returns:
+        (H, W, C) float32, linear light; C is 1 if the picture is grey, else 3. Row 0 is the top as a viewer shows it.
+
+    Raises:
+        InputError: The file is missing or is not an image.
     """
     light = _over_white(_display_values(_decode(path)))
     return np.ascontiguousarray(grey(light), dtype=np.float32)
 
 
 def write_png(path: str | PathLike[str], linear: FloatArray, px_per_mm: float | None = None) -> None:
-    """Write (H, W, C) linear light as an 8-bit sRGB PNG; equal pixels give equal bytes.
+    """Write an 8-bit sRGB PNG; equal pixels give equal bytes.
 
-    With ``px_per_mm`` the file knows its physical size, so that programs print it true to scale.
+    Args:
+        path: The file.
+        linear: (H, W, C) linear light.
+        px_per_mm: Resolution that the file states, so that programs print it true to scale.
     """
     from PIL import Image
 

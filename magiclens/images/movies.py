@@ -1,4 +1,4 @@
-"""Movies: frames in linear light from folders, GIF, APNG, WebP and video files, and back to GIF and MP4."""
+"""Movies: frames are read from folders, GIF, APNG, WebP and video files, and written to GIF and MP4 files."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from magiclens.contract.artifacts import FloatArray
+from magiclens.contract.artifacts import FloatArray, IntArray
 from magiclens.contract.errors import InputError
 from magiclens.images.colour import grey, to_display, to_linear
 from magiclens.images.files import read_image
@@ -24,33 +24,45 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 ByteArray = NDArray[np.uint8]
-IntArray = NDArray[np.signedinteger]
+"""Pictures (H, W, C) of display values 0..255."""
 
 _PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".gif")
-"""Files of a folder that count as its frames."""
+"""Suffixes of files in a folder that count as its frames."""
 _ANIMATED = ("GIF", "PNG", "WEBP")
+"""Pillow's names of formats that can hold several frames."""
 _CHOICES = "a folder of images, or a GIF, APNG, MP4, MOV or WebM file"
 _VIDEO_OPTIONS = {"format_whitelist": "mov,matroska,avi", "protocol_whitelist": "file"}
+"""Options of FFmpeg's reader: a file may not make it open other files or addresses."""
 
 _PALETTE = 256
+"""Number of colours of a GIF."""
 _SAMPLE_PX = 100_000
-"""About how many pixels of a movie its palette is made from."""
+"""Number of pixels, roughly, from which the palette of a movie is made."""
 _FASTEST_GIF = 50
-"""Frames per second: browsers slow down what is faster."""
+"""Highest number of frames per second of a GIF; browsers slow down faster ones."""
 
 _MP4_OPTIONS = {"movflags": "+faststart", "fflags": "+bitexact"}
+# one thread and "bitexact", so that equal frames give equal bytes
 _X264_OPTIONS = {"crf": "16", "preset": "slow", "threads": "1", "flags": "+bitexact"}
 _WITHOUT_VERSION = "filter_units=remove_types=6"
-"""Drops the notes in which the encoder names itself and its settings."""
+"""Filter that drops the notes in which the encoder names itself and its settings, so that equal frames give equal
+bytes."""
 _BT709, _SRGB_CURVE, _VIDEO_RANGE = 1, 13, 1
+"""FFmpeg's numbers of the colours, the curve and the range of values that an MP4 file states."""
 
 
 def read_frames(path: str | PathLike[str]) -> Iterator[FloatArray]:
-    """Frames (H, W, C) float32, linear light, C = 1 where a frame is grey, else 3; each is read when it is asked for.
+    """Read the frames of a movie, each when it is asked for.
 
-    ``path`` is a folder of images (in natural order: 2 before 10), a GIF, an animated PNG or WebP, or a video file;
-    their values are display values (sRGB), and transparency lies over white paper. Raises InputError, at once if
-    there is no such file or its first frame cannot be read, else when a later frame cannot.
+    Args:
+        path: A folder of images (in natural order: 2 before 10), a GIF, an animated PNG or WebP, or a video file. Its
+            values are taken as display values (sRGB); transparent pixels are composited over white paper.
+
+    Returns:
+        Frames (H, W, C) float32, linear light; C is 1 where a frame is grey, else 3.
+
+    Raises:
+        InputError: There is no such file or a frame cannot be read; at once if that is the first frame.
     """
     frames = _frames(Path(path))
     first = next(frames, None)
@@ -60,12 +72,12 @@ def read_frames(path: str | PathLike[str]) -> Iterator[FloatArray]:
 
 
 def is_still(path: str | PathLike[str]) -> bool:
-    """Is it a picture file that does not move? Raises InputError if it is missing or broken."""
+    """Whether a file is a single picture, not a movie or a folder. Raises InputError if it is missing or broken."""
     return not Path(path).is_dir() and _moves(Path(path)) is False
 
 
 def frame_rate(path: str | PathLike[str]) -> float | None:
-    """Frames per second on average, as a movie file says; None for a folder of images or if the file does not say."""
+    """Mean number of frames per second of a movie file; None for a folder, or if the file does not state it."""
     path = Path(path)
     if path.is_dir():
         return None
@@ -77,11 +89,19 @@ def frame_rate(path: str | PathLike[str]) -> float | None:
 
 
 def write_gif(path: str | PathLike[str], frames: Iterable[FloatArray], fps: float) -> None:
-    """Write frames (H, W, C) in linear light as a GIF that loops forever; equal frames give equal bytes.
+    """Write a GIF that loops forever; equal frames give equal bytes.
 
-    One palette serves all frames: the colours themselves if there are at most 256, as in any grey movie, else the
-    nearest ones of an adaptive palette, undithered. Equal frames in a row become one that stays longer. Raises
-    InputError if ``fps`` is above 50.
+    All frames have one palette: all their colours if these are at most 256, as in any grey movie, else an adaptive
+    palette, without dithering. Equal successive frames become one that is shown longer.
+
+    Args:
+        path: The file.
+        frames: (H, W, C) linear light, all of one size.
+        fps: Frames per second.
+
+    Raises:
+        InputError: ``fps`` is above 50.
+        ValueError: There are no frames, or their sizes differ.
     """
     if not 0 < fps <= _FASTEST_GIF:
         raise InputError(f"a GIF cannot show {fps:g} frames per second; use at most {_FASTEST_GIF}, or MP4")
@@ -97,9 +117,17 @@ def write_gif(path: str | PathLike[str], frames: Iterable[FloatArray], fps: floa
 
 
 def write_mp4(path: str | PathLike[str], frames: Iterable[FloatArray], fps: float) -> None:
-    """Write frames (H, W, C) in linear light as H.264 in an MP4 file; equal frames give equal bytes.
+    """Write an MP4 file with H.264 video; equal frames give equal bytes.
 
-    Odd sides grow by one pixel, a copy of the last row or column, since the format halves the resolution of colour.
+    If a side is odd, the last row or column is repeated, since the format halves the resolution of colour.
+
+    Args:
+        path: The file.
+        frames: (H, W, C) linear light, all of one size.
+        fps: Frames per second.
+
+    Raises:
+        ValueError: There are no frames, or their sizes differ.
     """
     import av
     from av.bitstream import BitStreamFilterContext
@@ -136,7 +164,7 @@ def _frames(path: Path) -> Iterator[FloatArray]:
 
 
 def _folder_frames(folder: Path) -> Iterator[FloatArray]:
-    """The images of a folder, hidden ones left out."""
+    """The images of a folder, without hidden files."""
     names = [p.name for p in folder.iterdir() if p.suffix.lower() in _PICTURES and not p.name.startswith(".")]
     if not names:
         raise InputError(f"the folder {str(folder)!r} holds no images")
@@ -145,13 +173,16 @@ def _folder_frames(folder: Path) -> Iterator[FloatArray]:
 
 
 def _natural(name: str) -> tuple[list[str | int], str]:
-    """Sorts numbers in names by their value."""
+    """A key that sorts names naturally: numbers in them by their value."""
     parts = re.split(r"(\d+)", name.lower())
     return [int(part) if k % 2 else part for k, part in enumerate(parts)], name
 
 
 def _is_picture(path: Path) -> bool:
-    """Is it an animated picture? If not, it may be a video. Raises InputError if it is missing or a still picture."""
+    """Whether a file is an animated picture; if not, it may be a video.
+
+    Raises InputError if it is missing or a single picture.
+    """
     moves = _moves(path)
     if moves is False:
         raise InputError(f"{str(path)!r} is a single picture, not a movie; use {_CHOICES}")
@@ -159,7 +190,7 @@ def _is_picture(path: Path) -> bool:
 
 
 def _moves(path: Path) -> bool | None:
-    """Is a picture animated? None if it is no picture. Raises InputError if it is missing or broken."""
+    """Whether a picture file is animated; None if it is not a picture. Raises InputError if it is missing or broken."""
     from PIL import Image, UnidentifiedImageError
 
     try:
@@ -198,8 +229,8 @@ def _animation_rate(path: Path) -> float | None:
 
 
 def _milliseconds(frame: Image) -> float:
-    """How long a frame is shown; 0 if the file does not say."""
-    frame.load()  # WebP knows only then
+    """How long a frame is shown; 0 if the file does not state it."""
+    frame.load()  # Pillow reads the duration of a WebP frame only with its pixels
     return float(frame.info.get("duration", 0))
 
 
@@ -217,7 +248,7 @@ def _video_frames(path: Path) -> Iterator[FloatArray]:
 
 
 def _opened(path: Path) -> InputContainer:
-    """A video file that has pictures."""
+    """A video file, opened. Raises InputError if it cannot be read or has no pictures, such as a sound file."""
     import av
 
     try:
@@ -231,12 +262,12 @@ def _opened(path: Path) -> InputContainer:
 
 
 def _unreadable(path: Path, error: Exception) -> InputError:
-    """What to raise when a decoder fails."""
+    """The error to raise when a decoder fails."""
     return InputError(f"the movie {str(path)!r} cannot be read: {error}")
 
 
 def _light(values: ByteArray) -> FloatArray:
-    """(H, W, 1 or 3) linear light of (H, W, 3 or 4) bytes, the fourth alpha, over white paper."""
+    """(H, W, 1 or 3) linear light of (H, W, 3 or 4) bytes; the fourth is alpha, composited over white paper."""
     shares = values.astype(np.float32) / np.float32(255)
     light = to_linear(shares[..., :3])
     if values.shape[-1] == 4:
@@ -254,20 +285,20 @@ def _bytes(linear: FloatArray) -> ByteArray:
 
 
 def _require_one_shape(pictures: Sequence[ByteArray]) -> None:
-    """Raise ValueError unless there is a picture and all have its shape."""
+    """Raise ValueError unless there is at least one picture and all have the same size."""
     shapes = sorted({picture.shape[:2] for picture in pictures})
     if len(shapes) != 1:
         raise ValueError(f"a movie needs frames of one size, not {shapes}")
 
 
 def _even(picture: ByteArray) -> ByteArray:
-    """The picture with even sides."""
+    """The picture, with the last row or column repeated if a side is odd."""
     rows, columns = picture.shape[:2]
     return np.pad(picture, ((0, rows % 2), (0, columns % 2), (0, 0)), mode="edge")
 
 
 def _video_frame(picture: ByteArray) -> VideoFrame:
-    """An (H, W, 3) picture as luminance and colour differences, the latter at half the resolution."""
+    """A frame of luminance and, at half the resolution, colour differences, made of a picture (H, W, 3)."""
     from av import VideoFrame
 
     frame = VideoFrame.from_ndarray(picture, "rgb24")
@@ -275,13 +306,13 @@ def _video_frame(picture: ByteArray) -> VideoFrame:
 
 
 def _codes(picture: ByteArray) -> IntArray:
-    """(H, W) one number per colour: 65536 red + 256 green + blue."""
+    """(H, W) colour codes, 65536 red + 256 green + blue, of a picture (H, W, 3)."""
     codes: IntArray = picture.astype(np.int32) @ np.array([65536, 256, 1], np.int32)
     return codes
 
 
 def _distinct(codes: Sequence[IntArray]) -> IntArray:
-    """The sorted codes that occur."""
+    """The colour codes that occur, sorted."""
     occurs = np.zeros(1 << 24, bool)
     for code in codes:
         occurs[code] = True
@@ -294,7 +325,7 @@ def _channels(codes: IntArray) -> ByteArray:
 
 
 def _adapted(pictures: Sequence[ByteArray], colours: IntArray) -> tuple[IntArray, IntArray]:
-    """Codes of an adaptive palette, and for every one of ``colours`` the index of the nearest."""
+    """An adaptive palette as colour codes, and for each of ``colours`` the index of its nearest one in the palette."""
     from PIL import Image
     from scipy.spatial import KDTree
 

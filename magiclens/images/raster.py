@@ -11,7 +11,16 @@ from magiclens.images.vector import PICTURE_SIDE, Layer
 
 
 def rasterize(layers: Sequence[Layer], size_px: int, paper: Sequence[float] = (1.0,)) -> FloatArray:
-    """(size_px, size_px, C) float32, linear light: the layers over plain paper of C channels, anti-aliased."""
+    """Draw layers on plain paper, with anti-aliased edges.
+
+    Args:
+        layers: What is drawn, the lowest first.
+        size_px: Side of the picture.
+        paper: Linear light of the paper, C values.
+
+    Returns:
+        (size_px, size_px, C) float32, linear light.
+    """
     canvas = np.empty((size_px, size_px, len(paper)), np.float32)
     canvas[:] = paper
     for layer in layers:
@@ -20,11 +29,19 @@ def rasterize(layers: Sequence[Layer], size_px: int, paper: Sequence[float] = (1
 
 
 def coverage(outlines: Sequence[FloatArray], shape: tuple[int, int], holes: bool = False) -> FloatArray:
-    """(rows, columns) share 0..1 of each pixel's area inside the outlines, which are in pixels, (0, 0) at top left.
+    """The share of each pixel's area that is inside closed outlines.
 
-    Outlines unite whichever way they run; with ``holes``, one inside another that runs the other way round, such as
-    a letter's counter, cuts a hole into it. The signed area to the right of every edge is accumulated per pixel and
-    summed along the rows: exact, but for pixels in which outlines overlap partly.
+    The signed area to the right of every edge is accumulated per pixel and summed along the rows. This is exact but
+    for pixels in which outlines overlap partly.
+
+    Args:
+        outlines: (n, 2) x and y in pixels, y down, (0, 0) at the top left.
+        shape: Rows and columns of the result.
+        holes: Whether an outline inside another one that runs the other way round cuts a hole, such as in letters. If
+            not, outlines are united, in whatever direction they run.
+
+    Returns:
+        (rows, columns) shares 0..1.
     """
     rows, columns = shape
     start, end = _pieces(outlines if holes else [_clockwise(outline) for outline in outlines])
@@ -40,7 +57,7 @@ def coverage(outlines: Sequence[FloatArray], shape: tuple[int, int], holes: bool
 
 
 def _clockwise(outline: FloatArray) -> FloatArray:
-    """The outline run round clockwise as seen, so that overlapping outlines add up and never cancel."""
+    """The outline in clockwise order as seen, so that overlapping outlines add up and never cancel."""
     (x, y), (next_x, next_y) = outline.T, _successors(outline).T
     return outline if float(x @ next_y - y @ next_x) >= 0 else outline[::-1]
 
@@ -51,7 +68,7 @@ def _successors(outline: FloatArray) -> FloatArray:
 
 
 def _pieces(outlines: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Starts and ends (n, 2) of closed outlines' edges, cut so that each lies within one pixel."""
+    """Starts and ends (n, 2) of the edges of closed outlines, cut so that each piece lies within one pixel."""
     start = np.concatenate(outlines)
     edge = np.concatenate([_successors(outline) for outline in outlines]) - start
     count = np.maximum(np.ceil(np.abs(edge).max(1)), 1).astype(int)
@@ -64,14 +81,14 @@ def _pieces(outlines: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
 
 
 def _crossings(a: FloatArray, b: FloatArray) -> FloatArray:
-    """(2, n) where, 0..1 along edges no longer than a pixel, they cross a grid line in x and in y; 0 if they do not."""
+    """(2, n) where edges no longer than a pixel cross a grid line, 0..1 along the edge, in x and in y; 0 if nowhere."""
     line = np.maximum(np.floor(a), np.floor(b))
     crosses = np.floor(a) != np.floor(b)
     return np.where(crosses, (line - a) / np.where(crosses, b - a, 1.0), 0.0).T
 
 
 def _paint_layer(canvas: FloatArray, layer: Layer) -> None:
-    """Paint one layer onto the canvas, within its bounding box."""
+    """Paint one layer onto the canvas (S, S, C); only its bounding box is touched."""
     scale = len(canvas) / PICTURE_SIDE
     outlines = [outline * scale for outline in layer.outlines]
     points = np.concatenate(outlines)

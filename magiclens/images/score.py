@@ -1,4 +1,4 @@
-"""How much a picture seen through the lens looks like its target."""
+"""Scores that compare a picture seen through the lens with its target."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from magiclens.images.resample import resize
 
 @dataclass(frozen=True)
 class Score:
-    """``psnr_db`` and ``ssim`` of display values after the exposure ``gain``, a factor in linear light."""
+    """PSNR and SSIM of display values, after light was multiplied by the exposure ``gain``."""
 
     psnr_db: float
     ssim: float
@@ -21,9 +21,12 @@ class Score:
 
 
 def score(render_linear: FloatArray, target_linear: FloatArray, gain: float | None = None) -> Score:
-    """Compare a render (R, R, C) with its target (H, W, C), both linear light; C may differ (1 or 3).
+    """Compare a render with its target in display values.
 
-    The target is resized to the render. Unless given, one least-squares gain stands for the camera's exposure.
+    Args:
+        render_linear: (R, R, C) linear light.
+        target_linear: (H, W, C) linear light, resized to the render. The two may have 1 and 3 channels.
+        gain: Exposure by which the render is multiplied; by default the one that fits the target best (least squares).
     """
     target = resize(target_linear, render_linear.shape[:2]).astype(np.float64)
     render, target = np.broadcast_arrays(render_linear.astype(np.float64), target)
@@ -34,7 +37,7 @@ def score(render_linear: FloatArray, target_linear: FloatArray, gain: float | No
 
 
 def psnr_db(seen: FloatArray, wanted: FloatArray) -> float:
-    """Peak signal-to-noise ratio of display values 0..1, in decibels; at most 120."""
+    """Peak signal-to-noise ratio, dB, of two arrays of display values 0..1 of the same shape; at most 120."""
     return float(-10 * np.log10(max(float(np.mean((seen - wanted) ** 2)), 1e-12)))
 
 

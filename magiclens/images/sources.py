@@ -1,4 +1,4 @@
-"""Generated source pictures."""
+"""Generated sources: random discs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from magiclens.contract.artifacts import FloatArray
 from magiclens.images.colour import to_linear
 
 BLACK_AND_WHITE = ((0.0,), (1.0,))
-"""Linear light of the inks that ``circles`` draws with unless told otherwise."""
+"""Linear light of black and white, the default inks of ``circles``."""
 
 COLOURED = tuple(
     tuple(to_linear(np.array(rgb) / 255).tolist())
@@ -36,11 +36,20 @@ def circles(
     colours: Sequence[Sequence[float]] = BLACK_AND_WHITE,
     layers: float = 4.0,
 ) -> FloatArray:
-    """(S, S, C) float32, linear light: random discs dropped on white paper one over the other (dead leaves).
+    """Draw random discs, one over the other, on white paper (the dead leaves model); edges are anti-aliased.
 
-    Radii are uniform within ``radius_mm``; each disc takes one of the ``colours`` (linear light, C values each)
-    at random; ``layers`` is how many discs cover a point on average. White discs over black ones leave the paper
-    half dark, with large plain areas of both kinds between fine slivers. Edges are anti-aliased.
+    White discs over black ones leave the paper half dark, with large plain areas of both kinds and fine slivers.
+
+    Args:
+        size_mm: Side of the source.
+        px_per_mm: Resolution.
+        rng: Randomness.
+        radius_mm: Smallest and largest radius; radii are uniform in between.
+        colours: Linear light, C values each; every disc takes one at random.
+        layers: How many discs cover a point on average.
+
+    Returns:
+        (S, S, C) float32, linear light.
     """
     side = round(size_mm * px_per_mm)
     lo, hi = radius_mm[0] * px_per_mm, radius_mm[1] * px_per_mm
@@ -56,7 +65,7 @@ def circles(
 
 
 def _drop(paper: FloatArray, y: float, x: float, radius: float, ink: FloatArray) -> None:
-    """Paint one disc, all lengths in pixels; a pixel's coverage is its centre's depth below the rim, 0..1."""
+    """Paint one disc, lengths in pixels; a pixel's coverage, 0 to 1, is how far its centre lies inside the rim."""
     top, left = max(int(y - radius) - 1, 0), max(int(x - radius) - 1, 0)
     window = paper[top : max(int(y + radius) + 2, 0), left : max(int(x + radius) + 2, 0)]
     rows, columns = window.shape[:2]

@@ -1,4 +1,4 @@
-"""Readable text as a picture: bold black letters on white paper, as large as a box lets them be."""
+"""Readable text as a picture: bold black letters on white paper, as large as a box allows."""
 
 from __future__ import annotations
 
@@ -13,20 +13,21 @@ from magiclens.contract.artifacts import FloatArray
 from magiclens.images.raster import coverage
 
 TextBox = tuple[float, float, float, float]
-"""Left, top, right and bottom as shares 0..1 of the square."""
+"""Left, top, right and bottom of the text, as shares 0..1 of the picture's side."""
 
 _MARGIN = 0.06
+"""Margin of the default box, as a share of the picture's side."""
 _SPACE = 0.4
-"""White between two words of a line, in em (the size of the font)."""
+"""Space between two words of a line, in em (the size of the font)."""
 _LEADING = 1.15
-"""From one line's base to the next, in em."""
+"""Distance of two base lines, in em."""
 _FLATTENING = 64
-"""Outlines are flattened at this many times the size in which matplotlib gives them, 100 units per em."""
+"""Factor by which outlines are enlarged before matplotlib flattens their curves, so that these stay smooth."""
 
 
 @dataclass(frozen=True)
 class _Word:
-    """Outlines in em, x from the left edge of the ink, y down from the base line; the ink's extents."""
+    """One word: its outlines in em, x from the left edge of the ink, y down from the base line; and their extents."""
 
     outlines: tuple[FloatArray, ...]
     width: float
@@ -38,10 +39,18 @@ _Line = tuple[_Word, ...]
 
 
 def text(words: str, size_px: int, box: TextBox = (_MARGIN, _MARGIN, 1 - _MARGIN, 1 - _MARGIN)) -> FloatArray:
-    """(size_px, size_px, 1) float32, linear light: the words, broken into centred lines so that they fill the box.
+    """Draw a text, broken into centred lines so that its letters are as large as possible.
 
-    Line breaks in ``words`` are kept. ValueError for a text that is empty or has letters that the font has not, and
-    for a box that is none.
+    Args:
+        words: The text; its line breaks are kept.
+        size_px: Side of the picture.
+        box: Where the text goes.
+
+    Returns:
+        (size_px, size_px, 1) float32, linear light.
+
+    Raises:
+        ValueError: The text is empty or has letters that are not in the font, or the box is not inside the picture.
     """
     check_words(words)
     check_box(box)
@@ -52,7 +61,7 @@ def text(words: str, size_px: int, box: TextBox = (_MARGIN, _MARGIN, 1 - _MARGIN
 
 
 def check_words(words: str) -> None:
-    """ValueError for a text that cannot be shown."""
+    """Raise ValueError if a text is empty or has letters that are not in the font."""
     from matplotlib.ft2font import FT2Font
 
     font = FT2Font(str(_font_file()))
@@ -65,7 +74,7 @@ def check_words(words: str) -> None:
 
 
 def check_box(box: Sequence[float]) -> None:
-    """ValueError for numbers that are no box."""
+    """Raise ValueError if left, top, right and bottom are not those of a box inside the picture."""
     left, top, right, bottom = box
     if not (0 <= left < right <= 1 and 0 <= top < bottom <= 1):
         raise ValueError("write left, top, right and bottom of a box inside the square, such as [10%, 10%, 90%, 50%]")
@@ -79,12 +88,12 @@ def _font_file() -> Path:
 
 
 def _words(line: str) -> _Line:
-    """The words of a line that leave ink."""
+    """The words of a line, without those that have no ink."""
     return tuple(word for word in map(_word, line.split()) if word.outlines)
 
 
 def _word(letters: str) -> _Word:
-    """One word, kerned."""
+    """One word with its kerning."""
     from matplotlib.font_manager import FontProperties
     from matplotlib.path import Path as Curves
     from matplotlib.textpath import TextToPath
@@ -101,12 +110,12 @@ def _word(letters: str) -> _Word:
 
 
 def _largest(lines: Sequence[_Line], box: TextBox) -> Sequence[_Line]:
-    """The lines broken so that the letters are as large as possible in the box; of several ways the narrowest."""
+    """The lines, broken so that letters are as large as possible in the box; of several ways the narrowest."""
     return max(_wrappings(lines), key=lambda wrapped: _scale(wrapped, box))
 
 
 def _wrappings(lines: Sequence[_Line]) -> Iterator[Sequence[_Line]]:
-    """Every way to break lines that are filled greedily up to one width, from one word's width to no break at all."""
+    """All ways to break the lines greedily at one width: from the widest word's width to no break at all."""
     width = max(word.width for line in lines for word in line)
     while True:
         wrapped = [_wrap(line, width) for line in lines]
@@ -118,7 +127,7 @@ def _wrappings(lines: Sequence[_Line]) -> Iterator[Sequence[_Line]]:
 
 
 def _wrap(words: _Line, width: float) -> list[_Line]:
-    """One line broken greedily into lines of at most that width; a line without words stays one."""
+    """One line, broken greedily into lines of at most this width; an empty line stays."""
     broken: list[_Line] = [()]
     for word in words:
         longer = (*broken[-1], word)
@@ -134,7 +143,7 @@ def _width(line: _Line) -> float:
 
 
 def _extents(lines: Sequence[_Line]) -> tuple[float, float, float]:
-    """Width, top and bottom of the ink in em, from the first line's base."""
+    """Width, top and bottom of the ink in em, y down from the first base line."""
     tops = [k * _LEADING + word.top for k, line in enumerate(lines) for word in line]
     bottoms = [k * _LEADING + word.bottom for k, line in enumerate(lines) for word in line]
     return max(map(_width, lines)), min(tops), max(bottoms)
@@ -147,7 +156,7 @@ def _scale(lines: Sequence[_Line], box: TextBox) -> float:
 
 
 def _placed(lines: Sequence[_Line], box: TextBox) -> Iterator[FloatArray]:
-    """The outlines as shares of the square, in the middle of the box."""
+    """The outlines in the middle of the box, as shares of the picture's side."""
     scale = _scale(lines, box)
     _, top, bottom = _extents(lines)
     middle = np.array([box[0] + box[2], box[1] + box[3]]) / 2

@@ -109,14 +109,14 @@ def _tiled(
     example: FloatArray, picture: FloatArray, weight: FloatArray, tile: int, rng: np.random.Generator
 ) -> IntArray:
     """(H, W, 2) origins after tiles are laid in reading order; ``weight`` (H, W) is 0 where nothing is known."""
-    from magiclens.images.texture_kernels import Texture, lay_tiles
+    from magiclens.images.texture_kernels import Canvas, lay_tiles
 
     channels = example.shape[-1]
     weights = np.repeat(weight[..., None], channels, axis=-1)
-    texture = Texture(_rows(example), _rows(picture), _rows(weights), channels)
+    canvas = Canvas(_rows(example), _rows(picture), _rows(weights), channels)
     starts_y, starts_x = (_starts(length, tile) for length in weight.shape)
     origins = np.full((*weight.shape, 2), -1, np.int32)
-    lay_tiles(texture, tile, starts_y, starts_x, _REUSE_COST * float(example.var()), origins, rng)
+    lay_tiles(canvas, tile, starts_y, starts_x, _REUSE_COST * float(example.var()), origins, rng)
     return origins
 
 
@@ -144,7 +144,7 @@ def _improved(
     """Better origins (H, W, 2) after a few passes over the pixels, forward and backward in turn."""
     from scipy.ndimage import maximum_filter
 
-    from magiclens.images.texture_kernels import REACH, Texture, improve_origins
+    from magiclens.images.texture_kernels import REACH, Canvas, improve_origins
 
     height, width, channels = example.shape
     origins = np.clip(origins, REACH, (height - 1 - REACH, width - 1 - REACH)).astype(np.int32)
@@ -153,9 +153,9 @@ def _improved(
     start = np.where(known[..., None], picture, example[origins[..., 0], origins[..., 1]])
     around = ((REACH, REACH), (REACH, REACH), (0, 0))
     weights = np.pad(np.repeat(np.maximum(weight, 1)[..., None], channels, axis=-1), around)
-    texture = Texture(_rows(example), _rows(np.pad(start, around)), _rows(weights), channels)
+    canvas = Canvas(_rows(example), _rows(np.pad(start, around)), _rows(weights), channels)
     for k in range(passes):
-        improve_origins(texture, near, known, k % 2 == 1, origins, rng)
+        improve_origins(canvas, near, known, k % 2 == 1, origins, rng)
     return origins
 
 

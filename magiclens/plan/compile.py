@@ -135,7 +135,7 @@ class Plan:
     def scene(self) -> Scene:
         """The lens and its views with their pictures."""
         with blaming(f"scenario {self.scenario.type} ({self.scenario_plugin})"):
-            views = self.scenario.compiled(self.lens, self.spec.viewer, self.registry.art)
+            views = self.scenario.make_views(self.lens, self.spec.viewer, self.registry.art)
             return Scene(self.lens, views, self.scenario.reserved(self.lens, self.registry.art))
 
     def on_medium(self, scene: Scene) -> Scene:
@@ -295,12 +295,12 @@ class _Compiler:
         if scenario is None:
             return {}
         with blaming(f"scenario {scenario.type} ({plugin})"):
-            return scenario.suited()
+            return scenario.suitable_stages()
 
     def _fit(self, spec: Spec, scenario: Scenario, plugin: Plugin | None) -> Lens | None:
         with blaming(f"scenario {scenario.type} ({plugin})"):
             try:
-                return scenario.fit(spec.lens.build(), spec.viewer)
+                return scenario.fitted_lens(spec.lens.build(), spec.viewer)
             except ValueError as error:
                 self._checker.add(("scenario",), str(error))
                 return None

@@ -1,4 +1,4 @@
-"""What a lens can be asked to show. A scenario is a small function from spec to views; nothing after it knows which."""
+"""Scenarios: what a lens is asked to show. Each turns its part of a spec into views; later stages only know views."""
 
 from magiclens.scenarios.base import Scenario, Shot
 

@@ -1,4 +1,4 @@
-"""What covers those pixels of a source that no facet sees (section 5.2)."""
+"""Camouflage: what covers the pixels of a source that no facet sees (section 5.2)."""
 
 from __future__ import annotations
 
@@ -18,11 +18,21 @@ from magiclens.scenarios.pictures import Circles
 class _Cover(SpecModel, ABC):
     @abstractmethod
     def cover(self, source: FloatArray, known: BoolArray, size_mm: float, rng: np.random.Generator) -> FloatArray:
-        """(H, W, C) linear light: the source, (H, W, C), with its unknown pixels covered; known (H, W) ones stay."""
+        """Cover the unknown pixels of a source.
+
+        Args:
+            source: (H, W, C) linear light.
+            known: (H, W) pixels that stay as they are.
+            size_mm: Side of the source.
+            rng: Randomness.
+
+        Returns:
+            (H, W, C) linear light.
+        """
 
 
 class Untouched(_Cover):
-    """The given source, as it was."""
+    """The given source, unchanged."""
 
     type: Literal["none"]
 
@@ -32,7 +42,7 @@ class Untouched(_Cover):
 
 
 class Flat(_Cover):
-    """One grey."""
+    """A plain grey."""
 
     type: Literal["flat"]
     level: Fraction = Field("100%", validate_default=True, ge=0, le=1, description="display value; 100% is white")
@@ -45,7 +55,7 @@ class Flat(_Cover):
 
 
 class Noise(_Cover):
-    """Random squares of every display value: decoys that look like painted patches."""
+    """Random squares of every display value, which look like painted patches and so hide these."""
 
     type: Literal["noise"]
     grain: Length = Field("0.3mm", validate_default=True, gt=0, description="side of the squares")
@@ -76,7 +86,7 @@ class Discs(_Cover):
 
 
 class Inpaint(_Cover):
-    """A smooth continuation of what surrounds it."""
+    """A smooth continuation of the known pixels around."""
 
     type: Literal["inpaint"]
 
@@ -88,7 +98,7 @@ class Inpaint(_Cover):
 
 
 class Texture(_Cover):
-    """A texture synthesised from an example, so that it meets what surrounds it; random discs by default."""
+    """A texture synthesised from an example, which joins the known pixels around; random discs by default."""
 
     type: Literal["texture"]
     model_config = ConfigDict(json_schema_extra={"not": {"required": ["image", "circles"]}})
@@ -98,7 +108,7 @@ class Texture(_Cover):
     patch: Length = Field("3mm", validate_default=True, gt=0, description="as large as the texture's features")
 
     @model_validator(mode="after")
-    def _one(self) -> Texture:
+    def _one_example(self) -> Texture:
         if self.image and self.circles:
             raise ValueError("give an image or circles, not both")
         return self
@@ -117,11 +127,11 @@ class Texture(_Cover):
 
 
 Camouflage = Annotated[Untouched | Flat | Noise | Discs | Inpaint | Texture, Field(discriminator="type")]
-"""What covers the pixels that no facet sees."""
+"""What covers the pixels that no facet sees; chosen by ``type``."""
 
 
 def _discs(options: Discs, side: int, size_mm: float, rng: np.random.Generator) -> FloatArray:
-    """(side, side, C) linear light."""
+    """(side, side, C) linear light: random discs over a square of this size."""
     from magiclens.images import resize
 
     source = Circles.model_validate(
@@ -136,13 +146,13 @@ def _discs(options: Discs, side: int, size_mm: float, rng: np.random.Generator) 
 
 
 def _filled(source: FloatArray, known: BoolArray, picture: FloatArray) -> FloatArray:
-    """The picture where the source is unknown; grey pictures take the source's colours, colours become grey."""
+    """The picture where the source is unknown, else the source; the picture gets as many channels as the source."""
     covering = _broadcast(np.atleast_3d(np.asarray(picture, np.float32)), source.shape[-1])
     return np.where(known[..., None], source, covering).astype(np.float32)
 
 
 def _broadcast(picture: FloatArray, channels: int) -> FloatArray:
-    """(H, W, C) with so many channels."""
+    """(H, W, C) with this number of channels: grey is repeated, and colour becomes its luminance."""
     from magiclens.images import luminance
 
     if channels == 1 and picture.shape[-1] == 3:

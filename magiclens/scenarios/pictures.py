@@ -1,4 +1,4 @@
-"""Sources and targets as a spec words them, and their rasters."""
+"""Sources and targets as a spec gives them, and their rasters."""
 
 from __future__ import annotations
 
@@ -24,13 +24,15 @@ from magiclens.contract.artifacts import FloatArray
 from magiclens.contract.units import Fraction, Length
 
 Art = Mapping[str, Callable[[int], FloatArray]]
-"""Named pictures: from a size in pixels to (size, size, C) linear light."""
+"""Built-in pictures by name: functions from a size in pixels to (size, size, C) linear light."""
 
-SOURCE_PX_PER_MM = 15.0
-"""Bilinear lookup in a coarser source would cost the picture more than the lens does."""
+_SOURCE_PX_PER_MM = 15.0
+"""Least resolution of sources: bilinear look-up in a coarser one would cost the picture more than the lens does."""
 
-LARGEST_PX = 4096
-TARGET_ART_PX = 1024
+_LARGEST_PX = 4096
+"""Largest side of a source, so that a large lens does not exhaust the memory."""
+_TARGET_ART_PX = 1024
+"""Side of targets that are drawn, which is finer than any render."""
 
 
 def _quoted(value: object) -> object:
@@ -49,21 +51,29 @@ def _readable(words: str) -> str:
 Words = Annotated[
     str, BeforeValidator(_quoted), AfterValidator(_readable), WithJsonSchema({"type": "string", "minLength": 1})
 ]
-"""A text that can be shown as a picture."""
+"""A text that the font can show."""
 
 
 class _Source(SpecModel, ABC):
-    """What lies below the lens."""
+    """A picture below the lens."""
 
     size: Length | None = Field(None, gt=0, description="side of the square source; as large as the lens by default")
 
     @abstractmethod
     def raster(self, size_mm: float, art: Art) -> FloatArray:
-        """(S, S, C) float32, linear light, covering ``size_mm``: at least 15 px/mm unless that is past 4096 pixels."""
+        """The picture in pixels.
+
+        Args:
+            size_mm: Side of the source.
+            art: Built-in pictures by name.
+
+        Returns:
+            (S, S, C) float32, linear light, at least 15 pixels per mm, but at most 4096 pixels.
+        """
 
 
 class Circles(_Source):
-    """Random discs, the paper's source."""
+    """Random discs, as in the paper's sources."""
 
     type: Literal["circles"]
     seed: int = Field(0, strict=True, ge=0, description="another seed, other discs")
@@ -104,7 +114,7 @@ class ImageSource(_Source):
         from magiclens.images.resample import padded_to_square, resize
 
         picture = padded_to_square(read_image(self.path))
-        side = min(max(_pixels(size_mm), len(picture)), LARGEST_PX)
+        side = min(max(_pixels(size_mm), len(picture)), _LARGEST_PX)
         return resize(picture, (side, side))
 
     def __str__(self) -> str:
@@ -143,7 +153,7 @@ class Plain(_Source):
 
 
 class TextSource(_Source):
-    """Readable text, bold black on white, as large as fits."""
+    """Readable text, bold black on white, as large as the box allows."""
 
     type: Literal["text"]
     text: Words = Field(description="what to write; line breaks are kept, others made where they are needed")
@@ -175,11 +185,11 @@ class TextSource(_Source):
 
 
 Source = Annotated[Circles | ImageSource | ArtSource | TextSource | Plain, Field(discriminator="type")]
-"""What lies below the lens: generated, a file, built-in art, or text."""
+"""What lies below the lens: random discs, a file, built-in art, text, or plain paper; chosen by ``type``."""
 
 
-class Look(SpecModel):
-    """How a picture is made fit to be a target."""
+class AdjustedPicture(SpecModel):
+    """How a picture is adjusted before it is used as a target: made square, its contrast raised, or inverted."""
 
     fit: Literal["pad", "crop"] | None = Field(
         None, description="a picture that is not square: `pad`, on white paper, as by default, or `crop` to its middle"
@@ -196,8 +206,8 @@ class Look(SpecModel):
             raise ValueError("write what becomes black first, then what becomes white, such as [10%, 90%]")
         return value
 
-    def applied(self, picture: FloatArray) -> FloatArray:
-        """(S, S, C) float32, linear light, of a picture (H, W, C) in linear light. Padding stays white."""
+    def adjusted(self, picture: FloatArray) -> FloatArray:
+        """(S, S, C) float32, linear light: the adjusted picture (H, W, C); padding stays white in a negative."""
         from magiclens.images.resample import cropped_to_square, padded_to_square
         from magiclens.images.tones import toned
 
@@ -206,7 +216,7 @@ class Look(SpecModel):
         return cropped_to_square(changed) if self.fit == "crop" else padded_to_square(changed)
 
 
-class Target(Look):
+class Target(AdjustedPicture):
     """What the eye shall see: a picture file, built-in art by its name, or text."""
 
     model_config = ConfigDict(json_schema_extra={"oneOf": [{"required": [key]} for key in ("image", "art", "text")]})
@@ -231,16 +241,16 @@ class Target(Look):
         return value
 
     def raster(self, art: Art) -> FloatArray:
-        """(S, S, C) float32, linear light: files at their own resolution, made square."""
-        return self.applied(self._picture(art))
+        """(S, S, C) float32, linear light; a file keeps its resolution. ``art``: built-in pictures by name."""
+        return self.adjusted(self._picture(art))
 
     def _picture(self, art: Art) -> FloatArray:
         if self.art is not None:
-            return art[self.art](TARGET_ART_PX)
+            return art[self.art](_TARGET_ART_PX)
         if self.text is not None:
             from magiclens.images.text import text
 
-            return text(self.text, TARGET_ART_PX)
+            return text(self.text, _TARGET_ART_PX)
         from magiclens.images.files import read_image
 
         return read_image(self.image or "")
@@ -252,5 +262,5 @@ class Target(Look):
 
 
 def _pixels(size_mm: float) -> int:
-    """Side of a source raster at the least resolution that does not cost picture quality."""
-    return min(int(np.ceil(size_mm * SOURCE_PX_PER_MM)), LARGEST_PX)
+    """Side in pixels of a source that is generated."""
+    return min(int(np.ceil(size_mm * _SOURCE_PX_PER_MM)), _LARGEST_PX)

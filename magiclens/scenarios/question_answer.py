@@ -1,4 +1,4 @@
-"""Readable questions that turn into pictures when the lens is laid over them (section 6, figures 10 and 16)."""
+"""The ``question-answer`` scenario: a picture appears over each readable question (section 6, figures 10 and 16)."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from magiclens.contract.units import Length
 from magiclens.scenarios.base import Scenario, Shot
 from magiclens.scenarios.camouflage import Camouflage
 from magiclens.scenarios.pictures import Art, Source, Target
-from magiclens.scenarios.universal_animation import masked, universal
+from magiclens.scenarios.universal_animation import read_mask, universal_stages
 
-PAPER = 0.98
-"""Display values below this are ink."""
+_PAPER = 0.98
+"""Display value below which a pixel counts as ink."""
 
 
 class QuestionAndAnswer(SpecModel):
-    """A question to read, and the picture that answers it."""
+    """A question to read, and the picture that the lens shows over it."""
 
     question: Source = Field(description="what lies below the lens")
     answer: Target = Field(description="what the eye shall see")
 
 
 class QuestionAnswer(Scenario):
-    """One lens for several questions: universal, or optimised for question pictures that nobody may edit."""
+    """One lens for several questions: either universal, or designed for the given pictures of the questions."""
 
     type: ClassVar[str] = "question-answer"
 
@@ -36,29 +36,29 @@ class QuestionAnswer(Scenario):
         "universal", description="paint around the questions, or leave their pictures as they are"
     )
     pairs: list[QuestionAndAnswer] = Field(min_length=1, max_length=16, description="questions and their answers")
-    mask: ImageFile | None = Field(None, description="black where the questions stand; found by their ink by default")
+    mask: ImageFile | None = Field(None, description="black where the questions are; found by their ink by default")
     margin: Length = Field("1mm", validate_default=True, ge=0, description="kept free around the questions' ink")
     subdivisions: int = Field(2, ge=1, le=8, description="sub-regions along one side of a facet's patch (5.1)")
     camouflage: Camouflage = Field(
         {"type": "texture"}, validate_default=True, description="what covers pixels that no facet sees (5.2)"
     )
 
-    def suited(self) -> dict[str, Choice]:
-        """A universal lens needs its own matcher and an encoder; any other matches the questions as they are."""
-        return universal(self.subdivisions, self.camouflage) if self.lens == "universal" else {}
+    def suitable_stages(self) -> dict[str, Choice]:
+        """A universal lens needs its own matcher and an encoder; the other kind matches the questions as they are."""
+        return universal_stages(self.subdivisions, self.camouflage) if self.lens == "universal" else {}
 
     def reserved(self, lens: Lens, art: Art) -> BoolArray | None:
-        """Where any question has ink, and a margin around it; universal lenses only."""
+        """For universal lenses: pixels that are ink in any question, and a margin around them."""
         if self.lens != "universal":
             return None
         questions = [pair.question.raster(lens.source_size_mm, art) for pair in self.pairs]
         side = max(map(len, questions))
         if self.mask is not None:
-            return masked(self.mask, side)
-        return _spread(_inked(questions, side), self.margin * side / lens.source_size_mm)
+            return read_mask(self.mask, side)
+        return _grown(_inked(questions, side), self.margin * side / lens.source_size_mm)
 
     def shots(self, lens: Lens, viewer: Viewer) -> tuple[Shot, ...]:
-        """One per question, all from the same eye."""
+        """One shot per question, all seen by the same eye."""
         eye_mm = viewer.eye_mm(lens)
         names = [f"question-{k}" for k in range(len(self.pairs))]
         return tuple(
@@ -68,16 +68,16 @@ class QuestionAnswer(Scenario):
 
 
 def _inked(pictures: list[FloatArray], side: int) -> BoolArray:
-    """(side, side): where any of the pictures (H, W, C) is darker than paper."""
+    """(side, side) pixels at which any of the pictures (H, W, C) is darker than paper."""
     from magiclens.images import resize, to_display
 
-    inked: BoolArray = np.any([to_display(resize(p, (side, side)).min(axis=-1)) < PAPER for p in pictures], axis=0)
+    inked: BoolArray = np.any([to_display(resize(p, (side, side)).min(axis=-1)) < _PAPER for p in pictures], axis=0)
     return inked
 
 
-def _spread(region: BoolArray, margin_px: float) -> BoolArray:
-    """The region and every pixel within the margin of it."""
+def _grown(region: BoolArray, margin_px: float) -> BoolArray:
+    """The region (H, W) and all pixels within the margin around it."""
     from scipy.ndimage import distance_transform_edt
 
     near: BoolArray = distance_transform_edt(~region) <= margin_px
-    return near & region.any()
+    return near & region.any()  # without any region, the distances are meaningless

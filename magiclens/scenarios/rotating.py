@@ -1,4 +1,4 @@
-"""One source, one target per quarter turn of the lens (section 4.6, figure 1)."""
+"""The ``rotating`` scenario: one source, with one target per quarter turn of the lens (section 4.6, figure 1)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def _quarter(angle_deg: float) -> float:
 
 
 class Rotating(Scenario):
-    """Another picture at every quarter turn. Turns are counter-clockwise as the viewer sees them."""
+    """One lens that shows another picture after every quarter turn, counter-clockwise as the viewer sees it."""
 
     type: ClassVar[str] = "rotating"
 
@@ -44,7 +44,7 @@ class Rotating(Scenario):
         return angles
 
     def shots(self, lens: Lens, viewer: Viewer) -> tuple[Shot, ...]:
-        """One per angle; all look at the same source from the same eye."""
+        """One shot per angle, all of the same source, seen by the same eye."""
         eye_mm = viewer.eye_mm(lens)
         names = [f"rotation-{a % 360:03.0f}" for a in self.angles]
         return tuple(

@@ -1,4 +1,4 @@
-"""One source, one target (sections 4.2 to 4.5, figures 4 and 11)."""
+"""The ``single`` scenario: one source and one target (sections 4.2 to 4.5, figures 4 and 11)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from magiclens.scenarios.pictures import Source, Target
 
 
 class Single(Scenario):
-    """One picture hidden in one source."""
+    """One lens that shows one picture over one source."""
 
     type: ClassVar[str] = "single"
 
@@ -21,5 +21,5 @@ class Single(Scenario):
     target: Target = Field(description="what the eye shall see")
 
     def shots(self, lens: Lens, viewer: Viewer) -> tuple[Shot, ...]:
-        """The only one."""
+        """The only shot."""
         return (Shot("single", self.source, self.target, viewer.eye_mm(lens)),)

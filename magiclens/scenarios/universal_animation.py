@@ -1,4 +1,4 @@
-"""One injective lens for any pictures, here the frames of an animation (section 5, figures 9 and 15)."""
+"""The ``universal-animation`` scenario: a lens for any pictures, here an animation (section 5, figures 9 and 15)."""
 
 from __future__ import annotations
 
@@ -16,15 +16,16 @@ from magiclens.config.model import Choice, Viewer
 from magiclens.contract.artifacts import BoolArray, FloatArray, Lens
 from magiclens.scenarios.base import Scenario, Shot
 from magiclens.scenarios.camouflage import Camouflage
-from magiclens.scenarios.pictures import Art, Look, Source, Target
+from magiclens.scenarios.pictures import AdjustedPicture, Art, Source, Target
 
-STEP_WEIGHT = 1e-5
-MOST_FRAMES = 64
-"""A run draws and renders every frame; `mlens encode` takes longer movies."""
+_STEP_WEIGHT = 1e-5
+"""Weight of steps between facets for universal lenses, which nearly ignore them (see ``universal_stages``)."""
+_MOST_FRAMES = 64
+"""Largest number of frames in a spec, since a run encodes and renders all; ``mlens encode`` takes longer movies."""
 
 
 class Frame(Target):
-    """One frame of a movie file."""
+    """A target that is one frame of a movie file."""
 
     movie: Path
     number: int
@@ -32,18 +33,18 @@ class Frame(Target):
     @model_validator(mode="before")
     @classmethod
     def _some(cls, data: Any) -> Any:
-        return data
+        return data  # a frame needs none of the pictures that any other target must name
 
     def raster(self, art: Art) -> FloatArray:
         """(S, S, C) float32, linear light."""
-        return self.applied(np.asarray(_movie(self.movie)[self.number]))
+        return self.adjusted(np.asarray(_movie(self.movie)[self.number]))
 
     def __str__(self) -> str:
         return f"{self.movie.name} frame {self.number}"
 
 
-class Frames(Look):
-    """What the eye shall see in turn: a built-in loop, pictures, or a movie."""
+class Frames(AdjustedPicture):
+    """The pictures that the eye shall see in turn: a built-in loop, picture files, or a movie."""
 
     art: str | None = Field(None, description="name of a built-in loop, such as worm for worm-0, worm-1, ...")
     length: int | None = Field(None, ge=1, description="frames of the built-in loop; all of them by default")
@@ -51,7 +52,7 @@ class Frames(Look):
     movie: InputFile | None = Field(None, description="a GIF or MP4 file")
 
     @model_validator(mode="after")
-    def _one(self, info: ValidationInfo) -> Frames:
+    def _one_kind(self, info: ValidationInfo) -> Frames:
         if sum(value is not None for value in (self.art, self.images, self.movie)) != 1:
             raise ValueError("name the frames: {art: worm}, {images: [a.png, b.png]} or {movie: film.gif}")
         names = (info.context or {}).get("art")
@@ -66,17 +67,17 @@ class Frames(Look):
         return self
 
     def targets(self) -> list[Target]:
-        """One per frame, in order; all look alike."""
-        look = self.model_dump(mode="json", include=set(Look.model_fields))
+        """One target per frame, in order; all are adjusted in the same way."""
+        adjustments = self.model_dump(mode="json", include=set(AdjustedPicture.model_fields))
         if self.images:
-            return [Target(image=path, **look) for path in self.images]
+            return [Target(image=path, **adjustments) for path in self.images]
         if self.movie:
-            return [Frame(movie=self.movie, number=k, **look) for k in range(len(_movie(self.movie)))]
-        return [Target(art=f"{self.art}-{k}", **look) for k in range(self.length or 0)]
+            return [Frame(movie=self.movie, number=k, **adjustments) for k in range(len(_movie(self.movie)))]
+        return [Target(art=f"{self.art}-{k}", **adjustments) for k in range(self.length or 0)]
 
 
 class UniversalAnimation(Scenario):
-    """A lens whose facets all look at places of their own, and a painted source for every frame."""
+    """A lens in which no two facets see the same part of the source, and a painted source for every frame."""
 
     type: ClassVar[str] = "universal-animation"
 
@@ -95,16 +96,16 @@ class UniversalAnimation(Scenario):
         """See ``Scenario``."""
         return self.fps
 
-    def suited(self) -> dict[str, Choice]:
-        """Facets draw their places at random; sources are painted for the finished lens."""
-        return universal(self.subdivisions, self.camouflage)
+    def suitable_stages(self) -> dict[str, Choice]:
+        """Facets get their parts of the source at random, and sources are painted for the finished lens."""
+        return universal_stages(self.subdivisions, self.camouflage)
 
     def reserved(self, lens: Lens, art: Art) -> BoolArray | None:
         """The mask, at the resolution of the source."""
-        return None if self.mask is None else masked(self.mask, len(self.source.raster(lens.source_size_mm, art)))
+        return None if self.mask is None else read_mask(self.mask, len(self.source.raster(lens.source_size_mm, art)))
 
     def shots(self, lens: Lens, viewer: Viewer) -> tuple[Shot, ...]:
-        """One per frame, each over its own source."""
+        """One shot per frame, each with a source of its own."""
         eye_mm = viewer.eye_mm(lens)
         names = [f"frame-{k:02}" for k in range(len(self.frames.targets()))]
         return tuple(
@@ -113,12 +114,19 @@ class UniversalAnimation(Scenario):
         )
 
 
-def universal(subdivisions: int, camouflage: Camouflage) -> dict[str, Choice]:
-    """The stages of a universal lens. Light that walls take cannot be painted, so steps are free to be high."""
+def universal_stages(subdivisions: int, camouflage: Camouflage) -> dict[str, Choice]:
+    """The stages of a universal lens.
+
+    Light that is lost at walls counts most, since no painting can restore it; steps themselves hardly matter.
+
+    Args:
+        subdivisions: Sub-regions along one side of a facet's patch (5.1).
+        camouflage: What covers the pixels that no facet sees (5.2).
+    """
     return {
         "matcher": {"type": "dart-throwing", "subdivisions": subdivisions},
-        "annealer": {"type": "heat-bath", "step_weight": STEP_WEIGHT},
-        "integrator": {"type": "poisson", "step_weight": STEP_WEIGHT},
+        "annealer": {"type": "heat-bath", "step_weight": _STEP_WEIGHT},
+        "integrator": {"type": "poisson", "step_weight": _STEP_WEIGHT},
         "encoder": {
             "type": "least-squares",
             "bleed": "0.2mm",
@@ -127,8 +135,8 @@ def universal(subdivisions: int, camouflage: Camouflage) -> dict[str, Choice]:
     }
 
 
-def masked(path: Path, side: int) -> BoolArray:
-    """(side, side) bool: where a mask is dark, nearest pixels."""
+def read_mask(path: Path, side: int) -> BoolArray:
+    """(side, side) pixels at which the picture of a mask is dark; its nearest pixels count."""
     from magiclens.images import luminance, padded_to_square, read_image, to_display
 
     dark: BoolArray = to_display(luminance(padded_to_square(read_image(path)))) < 0.5
@@ -138,15 +146,16 @@ def masked(path: Path, side: int) -> BoolArray:
 
 @lru_cache(maxsize=2)
 def _movie(path: Path) -> Sequence[FloatArray]:
-    """The frames of a movie file, (H, W, C) each; InputError if there are too many."""
+    """The frames (H, W, C) of a movie file, linear light. Raises InputError if there are too many."""
     from magiclens.contract.errors import InputError
     from magiclens.images.movies import read_frames
 
-    frames = [np.asarray(frame) for frame in islice(read_frames(path), MOST_FRAMES + 1)]
-    if len(frames) > MOST_FRAMES:
-        raise InputError(f"it has more than {MOST_FRAMES} frames; run with a few and use 'mlens encode'", str(path))
+    frames = [np.asarray(frame) for frame in islice(read_frames(path), _MOST_FRAMES + 1)]
+    if len(frames) > _MOST_FRAMES:
+        raise InputError(f"it has more than {_MOST_FRAMES} frames; run with a few and use 'mlens encode'", str(path))
     return frames
 
 
 def _loops(names: Any) -> str:
+    """The built-in loops, as text: names of art whose first frame ends in ``-0``."""
     return ", ".join(sorted(name.removesuffix("-0") for name in names if name.endswith("-0")))

@@ -30,7 +30,7 @@ class ScenarioContract:
 
     def test_views_have_names_of_their_own_and_an_eye_above_the_lens(self) -> None:
         """Eyes are in the world frame, in millimetres."""
-        lens, viewer = self.scenario.fit(_LENS, Viewer()), Viewer()
+        lens, viewer = self.scenario.fitted_lens(_LENS, Viewer()), Viewer()
         shots = self.scenario.shots(lens, viewer)
         assert shots, "there are no views"
         assert len({shot.name for shot in shots}) == len(shots), "two views have the same name"
@@ -41,10 +41,10 @@ class ScenarioContract:
         """Pictures are (H, W, C), and their light is within 0 to 1."""
         from magiclens.images.art import ART
 
-        lens, viewer = self.scenario.fit(_LENS, Viewer()), Viewer()
-        views = self.scenario.compiled(lens, viewer, ART)
+        lens, viewer = self.scenario.fitted_lens(_LENS, Viewer()), Viewer()
+        views = self.scenario.make_views(lens, viewer, ART)
         pictures = [picture for view in views for picture in (view.source, view.target)]
         assert len({picture.shape[2:] for picture in pictures}) == 1, "some pictures have one channel, others three"
         assert pictures[0].shape[2] in (1, 3), f"pictures have {pictures[0].shape[2]} channels instead of 1 or 3"
         assert all(np.isfinite(p).all() and p.min() >= 0 and p.max() <= 1 for p in pictures), "light is within 0 to 1"
-        assert digest(views) == digest(self.scenario.compiled(lens, viewer, ART)), "compiled twice, views differ"
+        assert digest(views) == digest(self.scenario.make_views(lens, viewer, ART)), "made twice, views differ"

@@ -1,1 +1,1 @@
-"""The pictures themselves: functions without arguments that return layers, bottom first, in picture units."""
+"""The drawings: functions that return layers, the lowest first, in picture units."""

@@ -23,12 +23,12 @@ from magiclens.images.vector import (
 
 
 def _outline(shape: FloatArray, width: float) -> FloatArray:
-    """A stroke round a closed outline."""
+    """The outline of a stroke along a closed outline."""
     return brush(np.concatenate([shape, shape[:2]]), width)
 
 
 def lincoln() -> list[Layer]:
-    """From the front: stovepipe hat, chin beard, bow tie."""
+    """Abraham Lincoln from the front, with stovepipe hat, chin beard and bow tie."""
     return [
         ink(*both(blob("49,66! 40,72 28,78 16,84 10,100! 50,100!"))),
         cut(polygon("40,74 60,74 50,98"), *both(stroke("39,77 43,88 49.5,99", 0.6, 1.4, 0.6))),
@@ -49,7 +49,7 @@ def lincoln() -> list[Layer]:
 
 
 def washington() -> list[Layer]:
-    """Profile to the left: powdered wig with side curls, queue tied with a bow."""
+    """George Washington in profile, looking to the left, with a wig that has side curls and a bow."""
     face = "41,14 36,19 33.5,26 33.5,31.5! 34,34 31,39.5 26.5,47! 28,49.5 32,51! 31.3,54 30,56.8! 32,58.2! 30.7,61"
     chin = "32.7,63.5 30.5,68 31.5,73.5 35.5,77 41.5,76"
     wig = blob("41,15! 46,7 56,3 67,5 76,12 80,24 78,38 72,51! 66,60 57,62! 54,52 52,43 47,36 45,26")
@@ -90,7 +90,7 @@ def washington() -> list[Layer]:
 
 
 def eiffel_tower() -> list[Layer]:
-    """The tower with its arch and lattice."""
+    """The Eiffel tower with its arch and lattice."""
     return [
         ink(stroke("50,1 50,12", 1.6), polygon("47.5,9 52.5,9 53.5,17 46.5,17")),
         _girders("20 26 34 44 56"),
@@ -118,7 +118,7 @@ def _girders(levels: str, hollow: float = 0.0) -> Layer:
 
 
 def dinosaur() -> list[Layer]:
-    """A tyrannosaur, roaring to the right."""
+    """A roaring tyrannosaur that looks to the right."""
     body = (
         "57,24 64,10 72,4.5 79,4.5 84,8 93,10.5 98,14.5 99,19 97.5,22.5! 88,23.5 75,27! 83,34.5 93,35! 92,40 83,42.5"
         " 75,42.5 72,49 70,57 64,66 52,70 40,66 26,61 12,54 -2,42! 14,46 26,44 36,38 46,33"

@@ -1,4 +1,4 @@
-"""Black silhouettes with white details, layers of ink and cuts, back to front (picture units, y down)."""
+"""Black silhouettes with white details, as layers from back to front (picture units, y down)."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from magiclens.images.vector import (
 
 
 def ink(*outlines: FloatArray) -> Layer:
-    """Black where the outlines are."""
+    """A layer that is black inside the outlines."""
     return Layer(outlines, flat(0.0))
 
 
 def cut(*outlines: FloatArray) -> Layer:
-    """White where the outlines are."""
+    """A layer that is white inside the outlines."""
     return Layer(outlines, flat(1.0))
 
 
@@ -39,7 +39,7 @@ def five_points(x: float, y: float, radius: float) -> FloatArray:
 
 
 def panda() -> list[Layer]:
-    """Sitting, seen from the front."""
+    """A sitting panda, seen from the front."""
     arm = "22,58 21,69 30,78 41,77"
     pads = (ellipse(24.5, 91, 6, 4.6, -20), ellipse(17.5, 85, 2.3), ellipse(24, 81.5, 2.3), ellipse(31, 82, 2.3))
     return [
@@ -60,7 +60,7 @@ def panda() -> list[Layer]:
 
 
 def bat() -> list[Layer]:
-    """Wings spread."""
+    """A bat with spread wings."""
     half = blob(
         "49,33! 53,31 56.5,19! 61,31 62,41 69,42 77,34 80,20! 92,28 100,46! 93,50 89,68! 81.5,64 75,80! 68.5,72"
         " 61.5,81! 56.5,82 50,95! 49,60!"
@@ -73,7 +73,7 @@ def bat() -> list[Layer]:
 
 
 def penguin() -> list[Layer]:
-    """Standing, looking to the left."""
+    """A standing penguin that looks to the left."""
     toes = [stroke(f"{x},98.5 {x + 3},95", 1.5, 0.6) for x in (27, 33, 39, 50.5, 56.5, 62.5)]
     return [
         ink(ellipse(35, 95, 14, 5, -4), ellipse(58, 95.5, 14, 5)),
@@ -95,7 +95,7 @@ def penguin() -> list[Layer]:
 
 
 def whale() -> list[Layer]:
-    """Swimming to the left, tail up, spouting."""
+    """A whale that swims to the left and spouts water, with its tail up."""
     return [
         ink(
             blob(
@@ -115,7 +115,7 @@ def whale() -> list[Layer]:
 
 
 def cat() -> list[Layer]:
-    """Sitting, seen from the front, tail round to the right."""
+    """A sitting cat, seen from the front, with its tail on the right."""
     whiskers = [stroke(f"40,{y} 32,{y - 2 + k} 25,{y - 2 + 3 * k}", 1, 0.3) for k, y in enumerate((29, 31, 33))]
     return [
         ink(stroke("64,88 80,91 89,82 84,70 86,60 92,58", 9, 9, 8, 7)),
@@ -131,7 +131,7 @@ def cat() -> list[Layer]:
 
 
 def rabbit() -> list[Layer]:
-    """Sitting, facing left."""
+    """A sitting rabbit that looks to the left."""
     return [
         ink(blob("36,32 28,16 33,2 40,12 42,32"), blob("42,30 46,10 56,2 57,18 50,34")),
         cut(blob("37,26 33,16 34,8 38,16"), blob("47,26 50,14 54,8 53,19")),
@@ -147,7 +147,7 @@ def rabbit() -> list[Layer]:
 
 
 def owl() -> list[Layer]:
-    """On a branch, seen from the front."""
+    """An owl on a branch, seen from the front."""
     feathers = [
         stroke(f"{x - 3.2},{y} {x},{y + 4} {x + 3.2},{y}", 1.2)
         for y, row in ((52, (43, 50, 57)), (60, (39.5, 46.5, 53.5, 60.5)), (68, (43, 50, 57)))
@@ -172,7 +172,7 @@ def owl() -> list[Layer]:
 
 
 def elephant() -> list[Layer]:
-    """Walking to the left, trunk raised."""
+    """An elephant that walks to the left, with its trunk raised."""
     return [
         ink(stroke("91,42 97,52 96,64", 2.6, 1.8), ellipse(96, 66, 2, 3.5)),
         ink(blob("32,22 50,22 72,24 89,34 94,52 91,72! 60,71 38,72! 28,50")),
@@ -202,18 +202,18 @@ def heart() -> list[Layer]:
 
 
 def star() -> list[Layer]:
-    """Five points."""
+    """A star with five points."""
     return [ink(five_points(50, 50, 50))]
 
 
 def question_mark() -> list[Layer]:
-    """The question mark."""
+    """A question mark."""
     hook = np.concatenate([arc(50, 28, 20, 175, 410), curve("60,45.5 54,50 50.5,57 50,68")])
     return [ink(brush(hook, 15, 15, 16, 17, 17, 17, 15, 14)), ink(ellipse(50, 90, 9.5))]
 
 
 def exclamation() -> list[Layer]:
-    """The exclamation mark."""
+    """An exclamation mark."""
     return [ink(blob("36.5,16 50,3 63.5,16 56,64! 44,64!"), ellipse(50, 86, 10.5))]
 
 
@@ -275,7 +275,7 @@ def moon() -> list[Layer]:
 
 
 def fish() -> list[Layer]:
-    """Swimming to the left."""
+    """A fish that swims to the left."""
     scales = [
         stroke(f"{x + 4},{y - 5} {x},{y} {x + 4},{y + 5}", 0.5, 1.4, 0.5)
         for x, rows in ((40, (44, 56)), (48, (38, 50, 62)), (56, (44, 56)), (64, (50,)))

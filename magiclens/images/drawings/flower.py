@@ -24,7 +24,7 @@ _GOLDEN_ANGLE_DEG = 180 * (3 - 5**0.5)
 
 
 def flower() -> list[Layer]:
-    """Garden, stem and leaves, three whorls of petals, florets, dew."""
+    """Layers of the garden, stem and leaves, three whorls of petals, florets and dew."""
     return [
         fill(linear_gradient((0, 0), (30, 100), "#bfe3ea", "#8cc4b4", "#3f7f5f"), rectangle(0, 0, 100, 100)),
         *_haze(40),

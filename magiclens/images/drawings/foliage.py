@@ -1,4 +1,4 @@
-"""Leaves, blossoms and berries in every hue: a source rich enough to hide any colour picture in."""
+"""Leaves, blossoms and berries of every hue: a source in which any colour picture can be hidden."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _LEAVES, _BLOSSOMS, _BERRIES = 900, 70, 45
 
 
 def foliage() -> list[Layer]:
-    """From deep shade to white, down to fine veins; large leaves lie below, small ones on top."""
+    """Layers of plants from dark to white, with fine veins; large leaves are below small ones."""
     rng = np.random.default_rng(21)
     leaves = [_leaf(rng, size) for size in np.geomspace(26, 5, _LEAVES)]
     blossoms = [_blossom(rng) for _ in range(_BLOSSOMS)]

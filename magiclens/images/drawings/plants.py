@@ -1,4 +1,4 @@
-"""Leaf and petal: drawn once about (0, 0), one unit long, pointing up, to be placed many times."""
+"""A leaf and a petal, drawn once about (0, 0), one unit long and pointing up, to be used many times."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from magiclens.images.vector import blob, placed, stroke
 
 @dataclass(frozen=True)
 class Blade:
-    """A flat thing that grows: its outline and its veins' outlines."""
+    """A leaf or petal: its outline, and the outlines of its veins."""
 
     outline: FloatArray
     veins: tuple[FloatArray, ...]

@@ -1,4 +1,4 @@
-"""A red farm truck full of fruit on a country road at sundown."""
+"""A red farm truck full of fruit, on a country road at sunset."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _PLANKS = (55.0, 60.4, 65.8)
 
 
 def truck() -> list[Layer]:
-    """Country first, then the truck from its load to its wheels."""
+    """Layers of the country, then of the truck from its load to its wheels."""
     wheels = [layer for wheel in _WHEELS for layer in _wheel(*wheel)]
     return [*_sky(), *_hills(), *_verge(), *_road(), *_heap(130), *_bed(), *_cab(), *_bonnet(), *_chrome(), *wheels]
 
@@ -65,7 +65,7 @@ def _sky() -> list[Layer]:
 
 
 def _cloud(x: float, y: float, size: float) -> Layer:
-    """A cloud, rosy underneath."""
+    """A cloud that is pink below."""
     puffs = (placed(ellipse(*puff), x, y, size) for puff in _PUFFS)
     return fill(down(y - 5 * size, y + 3 * size, "#ffffff", "#f3d3c4"), *puffs)
 
