@@ -12,24 +12,27 @@ from magiclens.contract.artifacts import Assignment, Lens, Scene, View
 from magiclens.images.art import ART
 from magiclens.matching.strength import injective_maps_bits
 
-RNG = np.random.default_rng(0)
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(0)
 
 
-def test_without_limits_the_maps_are_counted_exactly() -> None:
+def test_without_limits_the_maps_are_counted_exactly(rng: np.random.Generator) -> None:
     """Five facets, eight places within everyone's reach, two signs each: 8! / 3! * 2^5 ways."""
     places, usable = np.tile(np.arange(8), (5, 1)), np.ones((5, 8, 2), bool)
-    assert injective_maps_bits(places, usable, RNG) == pytest.approx(math.log2(8 * 7 * 6 * 5 * 4 * 2**5))
+    assert injective_maps_bits(places, usable, rng) == pytest.approx(math.log2(8 * 7 * 6 * 5 * 4 * 2**5))
 
 
-def test_within_limits_the_estimate_is_near_the_count() -> None:
+def test_within_limits_the_estimate_is_near_the_count(rng: np.random.Generator) -> None:
     """A ring: each of 8 facets reaches its own place and the next; only two permutations stay within that."""
     places = np.stack([np.arange(8), (np.arange(8) + 1) % 8], axis=1)
-    bits = injective_maps_bits(places, np.ones((8, 2, 1), bool), RNG, rounds=4000)
+    bits = injective_maps_bits(places, np.ones((8, 2, 1), bool), rng, rounds=4000)
     assert bits == pytest.approx(1.0, abs=0.15)
 
 
-def test_no_way_is_minus_infinity() -> None:
-    assert injective_maps_bits(np.zeros((2, 1), int), np.ones((2, 1, 1), bool), RNG) == -math.inf
+def test_no_way_is_minus_infinity(rng: np.random.Generator) -> None:
+    assert injective_maps_bits(np.zeros((2, 1), int), np.ones((2, 1, 1), bool), rng) == -math.inf
 
 
 def lens_and_view(offset: float) -> tuple[Lens, Assignment, View]:
@@ -59,9 +62,9 @@ def test_mirrored_patches_are_read_mirrored() -> None:
     assert tile_likeness(lens, assignment, other).min() < 0.9
 
 
-def test_a_source_unlike_its_target_has_a_low_score() -> None:
+def test_a_source_unlike_its_target_has_a_low_score(rng: np.random.Generator) -> None:
     lens, assignment, view = lens_and_view(1.0)
-    noise = View("v", RNG.random((320, 320, 1)).astype(np.float32), view.target, view.eye_mm)
+    noise = View("v", rng.random((320, 320, 1)).astype(np.float32), view.target, view.eye_mm)
     near, far = (secrecy(Scene(lens, (v,)), assignment).metrics for v in (view, noise))
     assert near["stealth_ssim"] > far["stealth_ssim"] + 0.2
     assert near["tile_leakage"] > 0.95
