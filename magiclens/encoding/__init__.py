@@ -1,1 +1,1 @@
-"""Painting sources for a finished lens (5.2), and editing given ones (7)."""
+"""Encoders: sources are painted for a finished lens, or given ones edited (sections 5.2 and 7)."""

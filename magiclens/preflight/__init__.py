@@ -1,1 +1,1 @@
-"""Is a run fit to be made? Looks at the files as exported, and says so on one page."""
+"""Preflight: checks whether the exported files of a run are fit to be made, shown on one page."""

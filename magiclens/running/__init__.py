@@ -1,1 +1,1 @@
-"""Executes plans: the pipeline, run folders, manifests, observers, jobs."""
+"""Carries out plans: the pipeline, run folders, their manifests, observers, and jobs for executors."""

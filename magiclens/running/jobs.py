@@ -27,7 +27,7 @@ from magiclens.running.pipeline import run_plan
 
 
 @dataclass(frozen=True)
-class Job:
+class RunJob:
     """One run to do: the spec file, overrides of its keys (``key=value``), and the run folder to write.
 
     Both paths are those of the machine that does the job.
@@ -38,7 +38,7 @@ class Job:
     out: str
 
 
-def run_job(job: Job, registry: Registry | None = None) -> dict[str, Any]:
+def run_job(job: RunJob, registry: Registry | None = None) -> dict[str, Any]:
     """Do a run, unless its run folder is up to date, and return its manifest. Raises like ``run_plan``."""
     plan = load_plan(job.spec, job.overrides, registry)
     return finished_manifest(plan, Path(job.out)) or run_plan(plan, job.out).manifest

@@ -18,7 +18,7 @@ from magiclens.plan.blame import blaming
 from magiclens.plan.compile import load_plan
 from magiclens.plan.registry import Registry
 from magiclens.running.folder import MANIFEST
-from magiclens.running.jobs import Job, finished_manifest, run_job
+from magiclens.running.jobs import RunJob, finished_manifest, run_job
 from magiclens.sweep.combine import Combination, combinations
 from magiclens.sweep.page import combination_pictures, sweep_image, sweep_page
 from magiclens.sweep.results import Sweep, SweepResult
@@ -76,7 +76,7 @@ def _run(
     folder.mkdir(parents=True, exist_ok=True)
     # a registry cannot be sent to another process
     work = partial(run_job, registry=registry) if isinstance(executor, Serial) else run_job
-    jobs = [Job(str(spec.absolute()), one.overrides, str((folder / one.folder).absolute())) for one in due]
+    jobs = [RunJob(str(spec.absolute()), one.overrides, str((folder / one.folder).absolute())) for one in due]
     results = []
     try:
         with blaming(f"executor {executor.type}"):

@@ -13,7 +13,7 @@ from magiclens.contract.executors import Executor
 from magiclens.pages.templating import template_text
 from magiclens.plan.registry import Registry
 from magiclens.running.folder import atomic_file
-from magiclens.running.jobs import Job
+from magiclens.running.jobs import RunJob
 from magiclens.web.gallery.docs import DOCS_FOLDER, DocPage, Library, doc_page, doc_paths, normal_path
 from magiclens.web.gallery.gallery_list import GalleryList, load_gallery
 from magiclens.web.gallery.lens import LensPage, lens_page
@@ -60,7 +60,9 @@ def build_gallery(
     gallery = load_gallery(path)
     _claim(out)
     runs = {entry.name: out / "runs" / entry.name for entry in gallery.entries}
-    jobs = [Job(str(entry.spec), entry.overrides(quick), str(runs[entry.name].absolute())) for entry in gallery.entries]
+    jobs = [
+        RunJob(str(entry.spec), entry.overrides(quick), str(runs[entry.name].absolute())) for entry in gallery.entries
+    ]
     refresh_runs(jobs, executor, registry, say)
     album, shown = Album(out), viewer_fragments(runs, out, executor)
     lenses = [lens_page(entry, runs[entry.name], shown[entry.name], album, quick) for entry in gallery.entries]

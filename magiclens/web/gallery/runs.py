@@ -11,10 +11,10 @@ from typing import Any
 from magiclens.contract.executors import Executor, Serial, raising
 from magiclens.plan.compile import load_plan
 from magiclens.plan.registry import Registry
-from magiclens.running.jobs import Job, finished_manifest, run_job
+from magiclens.running.jobs import RunJob, finished_manifest, run_job
 
 
-def refresh_runs(jobs: Sequence[Job], executor: Executor, registry: Registry, say: Callable[[str], None]) -> None:
+def refresh_runs(jobs: Sequence[RunJob], executor: Executor, registry: Registry, say: Callable[[str], None]) -> None:
     """Make runs that are missing or outdated. Run folders appear whole, so that an interrupted build can go on.
 
     Args:
@@ -47,7 +47,7 @@ def _outcome(made: dict[str, Any] | Exception) -> str:
     return "failed" if isinstance(made, Exception) else f"{made['seconds']:.0f} s"
 
 
-def _clear(due: Sequence[Job]) -> None:
+def _clear(due: Sequence[RunJob]) -> None:
     """Remove unfinished folders of processes that were killed."""
     for out in (Path(job.out) for job in due):
         for partly in out.parent.glob(f".{out.name}-*"):
