@@ -126,7 +126,9 @@ def test_the_quick_check_agrees_with_the_thorough_one(run: Run) -> None:
 def test_equal_runs_have_equal_pages(run: Run, tmp_path: Path) -> None:
     manifest = json.loads((run.folder / "manifest.json").read_text())
     shutil.copytree(run.folder / "figures", tmp_path / "figures")
-    write_preflight(run_preflight(run.folder, manifest, load_plan(run.folder / "spec.yaml"), run.result.solid), tmp_path)
+    write_preflight(
+        run_preflight(run.folder, manifest, load_plan(run.folder / "spec.yaml"), run.result.solid), tmp_path
+    )
     for name in ("preflight.html", "preflight.json"):
         assert (tmp_path / name).read_bytes() == (run.folder / name).read_bytes()
     page = (run.folder / "preflight.html").read_text()
