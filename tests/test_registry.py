@@ -253,7 +253,7 @@ def test_threads_print_under_their_own_names(capfd: pytest.CaptureFixture[str]) 
     ("hook", "contribution", "reason"),
     [
         ("mlens_scenarios", [SimpleNamespace], "SimpleNamespace.type is not text"),
-        ("mlens_scenarios", [ToyMatcher], "ToyMatcher lacks shots, fit, compiled"),
+        ("mlens_scenarios", [ToyMatcher], "ToyMatcher lacks shots, fitted_lens, make_views"),
         ("mlens_art", {"face": "not callable"}, "'face' is not the name of a function"),
         ("mlens_art", ["face"], "AttributeError"),
     ],

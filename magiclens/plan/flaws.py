@@ -29,7 +29,7 @@ def stage_flaw(cls: Any) -> str | None:
 
 def scenario_flaw(cls: Any) -> str | None:
     """What keeps a class from being a scenario."""
-    return _class_flaw(cls) or _lacks(cls, "shots", "fit", "compiled")
+    return _class_flaw(cls) or _lacks(cls, "shots", "fitted_lens", "make_views")
 
 
 def executor_flaw(cls: Any) -> str | None:
