@@ -11,7 +11,7 @@ import numpy as np
 from magiclens.contract.artifacts import FloatArray, Lens, Solid
 from magiclens.meshing.intersections import cannot_cut_itself, faces_that_cut
 from magiclens.meshing.validation import Findings, check_areas, check_topology, check_volume
-from magiclens.preflight.finding import Facets, Finding, worst_facet_text
+from magiclens.preflight.finding import FacetIndices, Finding, worst_facet_text
 from magiclens.preflight.mesh_file import MeshFile, read_mesh_file
 
 _TOLERANCE = 1e-4
@@ -104,7 +104,7 @@ def _self_intersection(found: Findings, solid: Solid | None, lens: Lens | None) 
     return Finding(check, "red" if len(cut) else "green", text, facets)
 
 
-def _facets_at(vertices: Sequence[int | None], solid: Solid | None, lens: Lens | None) -> Facets:
+def _facets_at(vertices: Sequence[int | None], solid: Solid | None, lens: Lens | None) -> FacetIndices:
     """The facets in which vertices lie, each once."""
     if solid is None or lens is None:
         return ()

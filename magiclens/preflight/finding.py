@@ -14,7 +14,7 @@ Status = Literal["green", "amber", "red"]
 """Grade of a finding: the lens is fit to be made; it should be examined first; it should not be made."""
 _ORDER: tuple[Status, ...] = ("green", "amber", "red")
 
-Facets = tuple[tuple[int, int], ...]
+FacetIndices = tuple[tuple[int, int], ...]
 """(row, column) of facets; row 0 is at +y, column 0 at -x."""
 
 
@@ -25,7 +25,7 @@ class Finding:
     check: str
     status: Status
     text: str
-    facets: Facets = ()
+    facets: FacetIndices = ()
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ def graded(value: float, amber: float, red: float) -> Status:
     return "green" if value <= amber else "amber" if value <= red else "red"
 
 
-def facets_where(bad: BoolArray, facet: IntArray, badness: Sequence[float] | np.ndarray, lens: Lens) -> Facets:
+def facets_where(bad: BoolArray, facet: IntArray, badness: Sequence[float] | np.ndarray, lens: Lens) -> FacetIndices:
     """The facets that hold bad triangles, the worst first.
 
     Args:
@@ -72,7 +72,7 @@ def facets_where(bad: BoolArray, facet: IntArray, badness: Sequence[float] | np.
     return tuple((int(k) // lens.facets, int(k) % lens.facets) for k in order)
 
 
-def worst_facet_text(facets: Facets) -> str:
+def worst_facet_text(facets: FacetIndices) -> str:
     """The end of a sentence that says which facet is the worst; empty if there is none."""
     if not facets:
         return ""
