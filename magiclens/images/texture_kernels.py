@@ -25,8 +25,9 @@ _INFINITE = np.float32(3e38)
 class Canvas(NamedTuple):
     """An example, and the picture that is made of it.
 
-    example: (h, w * C) float32. picture: (H, W * C) float32, changed by the kernels. weights: (H, W * C) float32,
-    weights of the picture's pixels in comparisons, 0 where there is nothing yet. channels: C.
+    example: (h, w * C) float32, display values. picture: (H, W * C) float32, display values, changed by the kernels.
+    weights: (H, W * C) float32, weights of the picture's values in comparisons, 0 where there is nothing yet.
+    channels: C, 1 or 3.
     """
 
     example: FloatArray
