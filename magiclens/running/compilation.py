@@ -211,10 +211,10 @@ def _analyse(plan: Plan, scene: Scene) -> None:
 
 
 def _inspect(plan: Plan, scene: Scene) -> None:
-    from magiclens.preflight.sight import looks
+    from magiclens.preflight.triangles import trace_triangles_for_views
 
     solid = _solid(scene)
-    looks(solid.vertices[solid.faces], scene.lens, scene.views)
+    trace_triangles_for_views(solid.vertices[solid.faces], scene.lens, scene.views)
 
 
 _PARTS: dict[str, Callable[[Plan, Scene], None]] = {
