@@ -36,17 +36,17 @@ def predict_view(
 ) -> FloatArray:  # fmt: skip
     """The ideal picture of one view, (R, R, C) float32; see ``predict`` for the arguments."""
     from magiclens.analysis.ideal_picture_kernels import IdealFacets, sample_ideal_picture
+    from magiclens.kernels.threads import in_threads
 
     local = view.in_lens_frame()
     patches = patches_seen(scene, assignment, local.eye_mm, heights_mm)
     flip = np.array([1, -1])
     turn = np.outer(flip, flip)
     inward = np.linalg.inv(np.where(np.isfinite(patches.shears), patches.shears, np.eye(2)))
-    seen = sample_ideal_picture(
-        local.source, local.source.shape[1] / scene.lens.source_size_mm,
-        IdealFacets(patches.landings_mm * flip, patches.maps * turn, patches.places_mm * flip, inward * turn),
-        scene.lens.size_mm, resolution, samples,
-    )  # fmt: skip
+    facets = IdealFacets(patches.landings_mm * flip, patches.maps * turn, patches.places_mm * flip, inward * turn)
+    per_mm = local.source.shape[1] / scene.lens.source_size_mm
+    seen = np.zeros((resolution, resolution, local.source.shape[2]), np.float32)
+    in_threads(sample_ideal_picture, resolution, local.source, per_mm, facets, scene.lens.size_mm, samples, seen)
     return np.ascontiguousarray(np.rot90(seen, view.quarter_turns))
 
 

@@ -6,7 +6,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from magiclens.kernels.sampling import place
 
@@ -57,25 +57,23 @@ def _visible_facet(facets, size, x, y):
     return i, j, u, v
 
 
-@njit(cache=True, parallel=True)
-def sample_ideal_picture(source, per_mm, facets, size, resolution, samples):
+@njit(cache=True, nogil=True)
+def sample_ideal_picture(rows_of_picture, source, per_mm, facets, size, samples, out):
     """The mean over samples q of a pixel of ``source(landing + map p)``, where facet point p is seen at q.
 
     Args:
+        rows_of_picture: A ``Part`` of the rows.
         source: (H, W, C) float32, linear light.
         per_mm: Pixels of the source per mm.
         facets: What the facets show, see ``IdealFacets``.
         size: Side of the picture, mm.
-        resolution: Pixels R along one side of the picture.
         samples: Samples per side of a pixel.
-
-    Returns:
-        (R, R, C) float32; black where no light arrives.
+        out: (R, R, C) float32, zeros; rows are filled, and stay black where no light arrives.
     """
     rows, columns, channels = source.shape
-    out = np.zeros((resolution, resolution, channels), np.float32)
+    resolution = len(out)
     pixel = size / resolution
-    for r in prange(resolution):
+    for r in range(rows_of_picture.first, rows_of_picture.end):
         for c in range(resolution):
             for k in range(samples * samples):
                 right, down = place(k, samples)
@@ -94,4 +92,3 @@ def sample_ideal_picture(source, per_mm, facets, size, resolution, samples):
                     top = source[iy, ix, ch] * (1 - fx) + source[iy, ix + 1, ch] * fx
                     low = source[iy + 1, ix, ch] * (1 - fx) + source[iy + 1, ix + 1, ch] * fx
                     out[r, c, ch] += (top * (1 - fy) + low * fy) / (samples * samples)
-    return out

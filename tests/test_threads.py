@@ -1,0 +1,33 @@
+"""Loops in threads: every index once, whatever the number of threads."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numba import config, njit
+
+from magiclens.kernels.threads import Part, in_threads
+
+
+@njit(nogil=True)
+def count_up(part, step, out):  # type: ignore[no-untyped-def]
+    for k in range(part.first, part.end):
+        out[k] += step * (k + 1)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 17, 1000])
+def test_every_index_is_done_once(threads: int, count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(config, "NUMBA_NUM_THREADS", threads)
+    out = np.zeros(count)
+    in_threads(count_up, count, 2.0, out)
+    np.testing.assert_array_equal(out, 2.0 * np.arange(1, count + 1))
+
+
+def test_what_a_part_raises_is_raised() -> None:
+    def fail(part: Part) -> None:
+        if part.end == 100:
+            raise ValueError(f"{part.first} to {part.end}")
+
+    with pytest.raises(ValueError, match="to 100"):
+        in_threads(fail, 100)
