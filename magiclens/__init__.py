@@ -41,6 +41,11 @@ if TYPE_CHECKING:
     from magiclens.images import Score, resize, score, to_display, to_linear
     from magiclens.matching.exhaustive import Exhaustive
     from magiclens.matching.polished import polished
+    from magiclens.milling.cutter import Cutter
+    from magiclens.milling.exporter import MillingExporter
+    from magiclens.milling.line_milling import LineMilling
+    from magiclens.milling.program import MillingProgram, MillingSetup
+    from magiclens.milling.toolpath import Moves
     from magiclens.plan.compile import Plan, load_plan
     from magiclens.rendering.transports import transports
     from magiclens.running.pipeline import Run, run, run_plan, run_spec
@@ -63,6 +68,11 @@ _HOMES = {
     "images": "Score resize score to_display to_linear",
     "matching.exhaustive": "Exhaustive",
     "matching.polished": "polished",
+    "milling.cutter": "Cutter",
+    "milling.exporter": "MillingExporter",
+    "milling.line_milling": "LineMilling",
+    "milling.program": "MillingProgram MillingSetup",
+    "milling.toolpath": "Moves",
     "plan.compile": "Plan load_plan",
     "rendering.transports": "transports",
     "running.pipeline": "Run run run_plan run_spec",
@@ -78,6 +88,7 @@ __all__ = [
     "Annealer",
     "Assignment",
     "Candidates",
+    "Cutter",
     "Encoder",
     "Executor",
     "Exhaustive",
@@ -93,8 +104,13 @@ __all__ = [
     "Length",
     "LengthOrPercent",
     "Lens",
+    "LineMilling",
     "MagicLensError",
     "Matcher",
+    "MillingExporter",
+    "MillingProgram",
+    "MillingSetup",
+    "Moves",
     "Plan",
     "Progress",
     "Renderer",

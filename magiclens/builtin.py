@@ -28,7 +28,7 @@ def mlens_stages() -> Sequence[type[Stage]]:
     from magiclens.exporting.height_map import HeightMap
     from magiclens.exporting.mesh_files import Obj, Ply, Stl
     from magiclens.exporting.monitor import Monitor
-    from magiclens.exporting.sheet import Sheet
+    from magiclens.exporting.print_sheet import PrintSheet
     from magiclens.exporting.slices import Slices
     from magiclens.exporting.three_mf import ThreeMf
     from magiclens.integration.least_squares import LeastSquaresIntegrator
@@ -44,7 +44,7 @@ def mlens_stages() -> Sequence[type[Stage]]:
 
     matching: list[type[Stage]] = [Exhaustive, MultiView, DartThrowing]
     design: list[type[Stage]] = [HeatBath, Metropolis, Poisson, LeastSquaresIntegrator, Pymeshlab, LeastSquaresEncoder]
-    fabrication: list[type[Stage]] = [Stl, Ply, Obj, ThreeMf, Glb, HeightMap, Slices, Gcode, Rml, Sheet, Monitor]
+    fabrication: list[type[Stage]] = [Stl, Ply, Obj, ThreeMf, Glb, HeightMap, Slices, Gcode, Rml, PrintSheet, Monitor]
     return [*matching, *design, *fabrication, Tracer, Mitsuba]
 
 

@@ -11,8 +11,9 @@ from fabricated import LENS, written
 from magiclens.contract.artifacts import FloatArray, HeightField, Lens, Solid
 from magiclens.geometry.solid import solid_from_heights
 from magiclens.milling.cutter import Cutter
-from magiclens.milling.exporter import Milling
-from magiclens.simulation.machining import Machined, find_programs, simulate
+from magiclens.milling.exporter import MillingExporter
+from magiclens.milling.program import MillingProgram
+from magiclens.simulation.machining import MachinedTop, run_programs
 
 BALL: dict[str, Any] = {"shape": "ball", "diameter": "1mm"}
 FLAT: dict[str, Any] = {"shape": "flat", "diameter": "1mm"}
@@ -42,7 +43,11 @@ def cutter(options: dict[str, Any]) -> Cutter:
     return Cutter.model_validate(options)
 
 
-def milled(exporter: Milling, folder: Path, solid: Solid) -> Machined:
+def programs_of(exporter: MillingExporter, path: Path) -> list[MillingProgram]:
+    """The programs in the exporter's files, read back."""
+    return [exporter.read_program(file) for file in exporter.program_files(path)]
+
+
+def machined(exporter: MillingExporter, folder: Path, solid: Solid) -> MachinedTop:
     """The lens that the exporter's files make."""
-    written(exporter, folder, solid)
-    return simulate(find_programs(folder), solid)
+    return run_programs(programs_of(exporter, written(exporter, folder, solid)), solid)

@@ -13,13 +13,13 @@ from magiclens.contract.artifacts import FloatArray, HeightField, Lens, Solid
 from magiclens.geometry.columns import top_heights
 from magiclens.geometry.solid import solid_from_heights
 from magiclens.meshing.validation import validate
-from magiclens.milling.border import outer, top_of
+from magiclens.milling.border import outer_rectangle, top_vertices
 from magiclens.profiles.machines import Mill, machines
 from magiclens.rendering.tracer import Tracer
-from magiclens.simulation import strips
 from magiclens.simulation.as_made import as_made
-from magiclens.simulation.machining import reachable_surface
-from magiclens.simulation.milled import COARSE_MM, milled
+from magiclens.simulation.as_milled import COARSE_MM, as_milled
+from magiclens.simulation.machined_surface import reachable_surface
+from magiclens.simulation.strips import seen_in_strips, traceable
 from milled import BALL, FLAT, V, cutter, waves
 from milled import WAVES as SMALL
 from test_printed import scene_of
@@ -40,7 +40,7 @@ def mill(shape: dict[str, Any], stepover: str = "0.001mm") -> Mill:
 def top(solid: Solid | None) -> tuple[FloatArray, FloatArray, FloatArray]:
     """x (columns,), y (rows,) and z (rows, columns) of a top's grid."""
     assert solid is not None
-    points = top_of(solid)
+    points = top_vertices(solid)
     return points[0, :, 0], points[:, 0, 1], points[..., 2]
 
 
@@ -55,7 +55,7 @@ def cliff(step_mm: float) -> Solid:
 @pytest.mark.parametrize("solid", [waves(), bumpy(eye=None, lens=SMALL, seed=3)], ids=["waves", "steps"])
 def test_a_raster_agrees_with_the_exact_envelope(solid: Solid, shape: dict[str, Any]) -> None:
     """The closing by lines, of the mesh itself, on a patch; steps fall between the raster's points."""
-    x, y, z = top(milled(solid, mill(shape)))
+    x, y, z = top(as_milled(solid, mill(shape)))
     columns, rows = (slice(k, k + 40) for k in (len(x) // 3, len(y) // 3))
     exact = reachable_surface(solid, cutter(shape), x[columns], y[rows])
     off = np.abs(z[rows, columns] - exact)
@@ -66,7 +66,7 @@ def test_a_raster_agrees_with_the_exact_envelope(solid: Solid, shape: dict[str, 
 def test_at_a_cliffs_foot_the_tips_ball_leaves_its_own_arc() -> None:
     """A tip of radius r that leans on a cliff of height h < r touches the ground sqrt(2 r h - h^2) away from it."""
     radius, step = 0.25, 0.1
-    x, _, z = top(milled(cliff(step), mill({**BALL, "diameter": "0.5mm"})))
+    x, _, z = top(as_milled(cliff(step), mill({**BALL, "diameter": "0.5mm"})))
     profile = z[len(z) // 2] - SMALL.thickness_mm
     foot = -((2 * radius * step - step**2) ** 0.5)
 
@@ -81,16 +81,16 @@ def test_at_a_cliffs_foot_the_tips_ball_leaves_its_own_arc() -> None:
 
 def test_what_fits_is_cut_as_designed_and_polishing_rounds_it() -> None:
     inside = slice(30, -30)
-    x, y, z = top(milled(flat(SMALL), mill(BALL)))
+    x, y, z = top(as_milled(flat(SMALL), mill(BALL)))
     assert z[inside, inside] == pytest.approx(SMALL.thickness_mm, abs=1e-5)
-    x, y, raw = top(milled(waves(), mill(V)))
+    x, y, raw = top(as_milled(waves(), mill(V)))
     assert np.abs(raw - top_heights(waves(), x, y))[inside, inside].max() < 1e-3
-    sharp, round_ = (top(milled(cliff(0.1), mill(V, over)))[2][:, inside] for over in ("0.001mm", "0.1mm"))
+    sharp, round_ = (top(as_milled(cliff(0.1), mill(V, over)))[2][:, inside] for over in ("0.001mm", "0.1mm"))
     assert np.abs(np.diff(round_)).max() < 0.5 * np.abs(np.diff(sharp)).max()
 
 
 def test_a_milled_lens_is_a_closed_body() -> None:
-    made = milled(bumpy(lens=SMALL), mill(V, "0.04mm"))
+    made = as_milled(bumpy(lens=SMALL), mill(V, "0.04mm"))
     assert made is not None
     findings = validate(made)
     assert findings.flaws == ()
@@ -98,9 +98,8 @@ def test_a_milled_lens_is_a_closed_body() -> None:
 
 
 @pytest.mark.parametrize("eye", [(0.0, 0.0, 108.0), (30.0, -20.0, 108.0)], ids=["above", "aside"])
-def test_strips_put_together_are_the_whole_picture(eye: Eye, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_strips_put_together_are_the_whole_picture(eye: Eye) -> None:
     """Light bends from one strip into the next, and an eye aside sees a strip's rows elsewhere at other heights."""
-    monkeypatch.setattr(strips, "STRIP_POINTS", 20_000)
     design, scene, tracer = waves(), scene_of(SMALL), Tracer(resolution=96, samples=2)
     views = tuple(replace(scene.views[0], eye_mm=np.array(eye), rotation_deg=turn) for turn in (0.0, 90.0))
     scene = replace(scene, views=views)
@@ -111,13 +110,13 @@ def test_strips_put_together_are_the_whole_picture(eye: Eye, monkeypatch: pytest
         z = top_heights(design, x, y)
         return [z, z - 0.4]
 
-    low, high = strips.seen_in_strips(scene, design, surface, (0.02, 0.02), tracer)
+    low, high = seen_in_strips(scene, design, surface, (0.02, 0.02), tracer, strip_points=20_000)
     assert len(asked) > 4
-    x0, x1, y0, y1 = outer(design)
-    floor = design.vertices[top_of(design)[..., 0].size :]
+    x0, x1, y0, y1 = outer_rectangle(design)
+    floor = design.vertices[top_vertices(design)[..., 0].size :]
     x, y = np.arange(x0, x1, 0.02), np.arange(y0, y1, 0.02)[::-1]
     for seen, lift in ((low, 0.0), (high, -0.4)):
-        whole = tracer.render(scene, strips.topped(x, y, top_heights(design, x, y) + lift, floor))
+        whole = tracer.render(scene, traceable(x, y, top_heights(design, x, y) + lift, floor))
         for part, picture in zip(seen, whole, strict=True):
             assert (np.abs(part - picture) > 1e-4).mean() < 1e-3
     assert np.abs(low[0] - high[0]).mean() > 1e-3

@@ -18,7 +18,7 @@ from magiclens.exporting.gltf import Glb
 from magiclens.exporting.height_map import HeightMap
 from magiclens.exporting.mesh_files import Obj, Ply, Stl
 from magiclens.exporting.monitor import Monitor
-from magiclens.exporting.sheet import Sheet
+from magiclens.exporting.print_sheet import PrintSheet
 from magiclens.exporting.slices import Slices
 from magiclens.exporting.three_mf import ThreeMf
 from magiclens.images.art import ART
@@ -142,7 +142,7 @@ class TestRml(ExporterContract):
 
 
 class TestSheet(ExporterContract):
-    stage = Sheet()
+    stage = PrintSheet()
 
 
 class TestMonitor(ExporterContract):

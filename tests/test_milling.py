@@ -13,14 +13,16 @@ import pytest
 from fabricated import EYE, LENS, Eye, bumpy, flat
 from magiclens.contract.artifacts import FloatArray, Solid
 from magiclens.geometry.columns import top_heights
-from magiclens.milling.border import inner, outer, top_of
-from magiclens.milling.cutter import Cutter, scallop_mm
+from magiclens.milling.border import inner_rectangle, outer_rectangle, top_vertices
+from magiclens.milling.cutter import Cutter
 from magiclens.milling.gcode import Gcode
 from magiclens.milling.offset import Contacts
 from magiclens.milling.rml import Rml
+from magiclens.milling.scallop import scallop_mm
 from magiclens.milling.sweep import swept
-from magiclens.simulation.machining import find_programs, machined_surface, reachable_surface, simulate
-from milled import BALL, FLAT, POINTED, V, cutter, groove, milled, waves
+from magiclens.simulation.machined_surface import machined_surface, reachable_surface
+from magiclens.simulation.machining import run_programs
+from milled import BALL, FLAT, POINTED, V, cutter, groove, machined, waves
 
 SHAPES = pytest.mark.parametrize("shape", [BALL, FLAT, V, POINTED], ids=["ball", "flat", "v", "pointed"])
 ASIDE = (60.0, 0.0, 60.0)
@@ -111,12 +113,12 @@ def test_what_a_cutter_leaves_in_a_groove(shape: dict[str, Any], slope: float, l
 @SHAPES
 def test_swept_surfaces_are_the_minimum_over_all_positions(shape: dict[str, Any]) -> None:
     tool, rng = cutter(shape), np.random.default_rng(3)
-    moves = rng.uniform([-1, -1, 0, -1, -1, 0], [1, 1, 0.5, 1, 1, 0.5], (12, 6))
-    moves[0, 3:5] = moves[0, :2]  # a plunge
+    moves = rng.uniform([-1, -1, 0], [1, 1, 0.5], (12, 2, 3))
+    moves[0, 1, :2] = moves[0, 0, :2]  # a plunge
     x = np.linspace(-1.2, 1.2, 23)
     z = swept(tool.outline(), moves, x, x, np.full((23, 23), 2.0))
     way = np.linspace(0, 1, 4001)[:, None]
-    at = np.concatenate([a[:3] + way * (a[3:] - a[:3]) for a in moves])
+    at = np.concatenate([start + way * (end - start) for start, end in moves])
     px, py = np.meshgrid(x, x)
     expected = np.full(px.shape, 2.0)
     for k, (u, v) in enumerate(zip(px.ravel(), py.ravel(), strict=True)):
@@ -130,7 +132,7 @@ def test_swept_surfaces_are_the_minimum_over_all_positions(shape: dict[str, Any]
 @SHAPES
 @pytest.mark.parametrize("eye", [None, EYE, ASIDE], ids=["vertical", "eye", "undercut"])
 def test_nothing_of_a_rough_lens_is_cut_away(shape: dict[str, Any], eye: Eye, tmp_path: Path) -> None:
-    fit = milled(Gcode(cutter=shape, stepover="0.1mm"), tmp_path, bumpy(eye)).fit
+    fit = machined(Gcode(cutter=shape, stepover="0.1mm"), tmp_path, bumpy(eye)).fit
     assert fit.gouge_mm <= 0.001
     assert 0 < fit.left_mm <= fit.stated_mm
     assert fit.unreached_share > 0.05
@@ -138,26 +140,26 @@ def test_nothing_of_a_rough_lens_is_cut_away(shape: dict[str, Any], eye: Eye, tm
 
 def test_a_gouge_is_noticed(tmp_path: Path) -> None:
     """Else the test above would prove nothing: a program for another lens, which is lower here and there."""
-    milled(Gcode(stepover="0.1mm"), tmp_path, bumpy(None, seed=6))
-    assert simulate(find_programs(tmp_path), bumpy(None)).fit.gouge_mm > 0.1
+    other = machined(Gcode(stepover="0.1mm"), tmp_path, bumpy(None, seed=6)).programs
+    assert run_programs(other, bumpy(None)).fit.gouge_mm > 0.1
 
 
 @pytest.mark.parametrize("axis", ["x", "y"])
 @pytest.mark.parametrize("shape", [BALL, FLAT, V], ids=["ball", "flat", "v"])
 def test_a_smooth_lens_is_reached_but_for_the_stated_ridges(shape: dict[str, Any], axis: Any, tmp_path: Path) -> None:
-    made = milled(Gcode(cutter=shape, stepover="0.08mm", axis=axis), tmp_path, waves())
+    made = machined(Gcode(cutter=shape, stepover="0.08mm", axis=axis), tmp_path, waves())
     assert made.fit.gouge_mm <= 0.001
     assert made.fit.left_mm <= made.fit.stated_mm < 0.06
-    lines = made.programs[0].moves.lines(2)
-    along = np.abs(lines[:, 3:] - lines[:, :3]).sum(axis=0)
+    cuts = made.programs[0].moves.cutting(2)
+    along = np.abs(cuts[:, 1] - cuts[:, 0]).sum(axis=0)
     assert along["xy".index(axis)] > 20 * along["yx".index(axis)]
 
 
 def test_ridges_between_lines_have_their_height(tmp_path: Path) -> None:
     """A plate that is thicker than a flat lens, so that the whole lens is planed down."""
     exporter = Gcode(cutter=BALL, stepover="0.2mm", stock="9mm", rougher=None)
-    made = milled(exporter, tmp_path, flat())
-    z = top_of(made.solid)[..., 2]
+    made = machined(exporter, tmp_path, flat())
+    z = top_vertices(made.solid)[..., 2]
     ridge = scallop_mm(cutter(BALL).outline(), 0.2)
     assert z.min() == pytest.approx(LENS.thickness_mm, abs=2e-4)
     assert z.max() - z.min() == pytest.approx(ridge, rel=0.03)
@@ -168,11 +170,11 @@ def test_ridges_between_lines_have_their_height(tmp_path: Path) -> None:
 def test_roughing_leaves_its_allowance(shape: dict[str, Any], tmp_path: Path) -> None:
     solid = bumpy(None)
     exporter = Gcode(operation="roughing", rougher=shape, cutter=shape, allowance="0.2mm", rough_stepover="0.1mm")
-    made = milled(exporter, tmp_path, solid)
-    x0, x1, y0, y1 = inner(solid)
+    made = machined(exporter, tmp_path, solid)
+    x0, x1, y0, y1 = inner_rectangle(solid)
     x, y = np.linspace(x0, x1, 40), np.linspace(y1, y0, 40)
     above = machined_surface(made.programs, x, y) - top_heights(solid, x, y)
-    top = made.programs[0].facts.zero_mm[2]
+    top = made.programs[0].setup.zero_mm[2]
     kept = np.minimum(0.2, top - top_heights(solid, x, y))
     assert (above >= kept - 1e-3).all()
     assert made.fit.stated_mm == math.inf
@@ -180,7 +182,7 @@ def test_roughing_leaves_its_allowance(shape: dict[str, Any], tmp_path: Path) ->
 
 def test_roughing_takes_no_more_than_a_level_at_a_time(tmp_path: Path) -> None:
     exporter = Gcode(operation="roughing", rougher=BALL, rough_stepdown="0.15mm")
-    made = milled(exporter, tmp_path, bumpy(None))
+    made = machined(exporter, tmp_path, bumpy(None))
     moves = made.programs[0].moves
     lifted = np.flatnonzero(moves.points[:, 2] >= exporter.safe_height)
     depths = [-moves.points[a:b, 2].min() for a, b in pairwise(lifted) if b > a + 1]
@@ -193,13 +195,13 @@ def test_roughing_takes_no_more_than_a_level_at_a_time(tmp_path: Path) -> None:
 @pytest.mark.parametrize("exporter", [Gcode, Rml])
 def test_tiles_join_to_the_same_lens(exporter: Any, tmp_path: Path) -> None:
     solid, options = waves(), {"cutter": BALL, "stepover": "0.1mm", "rougher": None}
-    whole = milled(exporter(**options), tmp_path / "whole", solid)
-    tiled = milled(exporter(**options, bed=("4mm", "3.5mm")), tmp_path / "tiled", solid)
+    whole = machined(exporter(**options), tmp_path / "whole", solid)
+    tiled = machined(exporter(**options, bed=("4mm", "3.5mm")), tmp_path / "tiled", solid)
     assert (len(whole.programs), len(tiled.programs)) == (1, 4)
     for program in tiled.programs:
         assert (np.ptp(program.moves.points[:, :2], axis=0) <= [4.0, 3.5]).all()
     assert tiled.fit.left_mm <= tiled.fit.stated_mm
-    x0, x1, y0, y1 = outer(solid)
+    x0, x1, y0, y1 = outer_rectangle(solid)
     x, y = np.linspace(x0, x1, 61), np.linspace(y1, y0, 61)
     a, b = (machined_surface(made.programs, x, y) for made in (whole, tiled))
     np.testing.assert_allclose(a, b, atol=2 * exporter.step_mm + 0.001)
@@ -209,12 +211,12 @@ def test_the_machined_solid_is_closed_and_stands_where_the_lens_stood(tmp_path: 
     from trimesh import Trimesh
 
     solid = waves()
-    made = milled(Gcode(cutter=BALL, stepover="0.2mm"), tmp_path, solid).solid
+    made = machined(Gcode(cutter=BALL, stepover="0.2mm"), tmp_path, solid).solid
     mesh = Trimesh(made.vertices, made.faces, process=False)
     assert mesh.is_watertight
     assert mesh.is_winding_consistent
     assert mesh.volume == pytest.approx(Trimesh(solid.vertices, solid.faces, process=False).volume, rel=0.01)
-    assert outer(made) == pytest.approx(outer(solid))
+    assert outer_rectangle(made) == pytest.approx(outer_rectangle(solid))
 
 
 def test_a_finer_tolerance_takes_more_moves(tmp_path: Path) -> None:
@@ -222,10 +224,10 @@ def test_a_finer_tolerance_takes_more_moves(tmp_path: Path) -> None:
     counts = []
     for k, tolerance in enumerate(("0.01mm", "0.001mm", "0.0002mm")):
         exporter = Gcode(cutter=BALL, stepover="0.2mm", rougher=None, tolerance=tolerance)
-        made = milled(exporter, tmp_path / str(k), waves())
+        made = machined(exporter, tmp_path / str(k), waves())
         assert made.fit.left_mm <= made.fit.stated_mm
         counts.append(len(made.programs[0].moves.points))
     assert counts[0] < counts[1] < counts[2]
-    planed = milled(Gcode(cutter=BALL, stepover="0.2mm", stock="9mm", rougher=None), tmp_path / "plane", flat())
+    planed = machined(Gcode(cutter=BALL, stepover="0.2mm", stock="9mm", rougher=None), tmp_path / "plane", flat())
     lines = len(np.unique(planed.programs[0].moves.points[:, 1]))
     assert len(planed.programs[0].moves.points) < 12 * lines

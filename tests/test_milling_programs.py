@@ -19,14 +19,14 @@ from magiclens.contract.artifacts import FloatArray, Solid
 from magiclens.contract.errors import InputError
 from magiclens.images.files import read_image
 from magiclens.milling.cutter import Cutter
-from magiclens.milling.exporter import Milling
 from magiclens.milling.gcode import Gcode, parse_gcode
-from magiclens.milling.job import job
+from magiclens.milling.job import milling_job
+from magiclens.milling.line_milling import LineMilling
 from magiclens.milling.rml import Rml, parse_rml
 from magiclens.plan.compile import load_plan
 from magiclens.running.pipeline import Run, run_spec
-from magiclens.simulation.machining import faults, find_programs, read_program, simulate
-from milled import BALL, FLAT, POINTED, V, cutter, milled, waves
+from magiclens.simulation.machining import faults, run_programs
+from milled import BALL, FLAT, POINTED, V, cutter, machined, programs_of, waves
 from toys import TOYS, SpecWriter, registry_of
 
 COARSE: dict[str, Any] = {"cutter": V, "stepover": "0.2mm"}
@@ -59,7 +59,7 @@ def test_linuxcnc_accepts_a_program_and_moves_as_it_is_meant(shape: dict[str, An
     exporter = Gcode(cutter=shape, stepover="0.2mm", axis=axis)
     path = written(exporter, tmp_path, bumpy())
     points, rapid = canonical(path)
-    (program,) = job(exporter, bumpy()).programs
+    (program,) = milling_job(exporter, bumpy()).programs
     np.testing.assert_allclose(points, program.moves.points, atol=6e-5)
     np.testing.assert_array_equal(rapid, program.moves.rapid)
 
@@ -77,20 +77,18 @@ def test_linuxcnc_refuses_a_broken_program(tmp_path: Path) -> None:
      Rml(**COARSE, bed=("7mm", "6mm"), axis="y", safe_height="2.345mm")],
     ids=["linuxcnc", "grbl", "linuxcnc tiles", "rml", "rml tiles"],
 )  # fmt: skip
-def test_files_read_back_give_the_same_moves_cutters_and_zeros(exporter: Milling, tmp_path: Path) -> None:
+def test_files_read_back_give_the_same_moves_cutters_and_zeros(exporter: LineMilling, tmp_path: Path) -> None:
     solid = bumpy()
-    written(exporter, tmp_path, solid)
-    paths, programs = find_programs(tmp_path), job(exporter, solid).programs
-    assert len(paths) == len(programs)
+    read, programs = programs_of(exporter, written(exporter, tmp_path, solid)), milling_job(exporter, solid).programs
+    assert len(read) == len(programs)
     close = 6e-5 if isinstance(exporter, Gcode) else 1e-6
-    for path, program in zip(paths, programs, strict=True):
-        again = read_program(path)
+    for again, program in zip(read, programs, strict=True):
         np.testing.assert_allclose(again.moves.points, program.moves.points, atol=close)
         np.testing.assert_allclose(again.moves.feed, program.moves.feed, rtol=1e-3)
         np.testing.assert_array_equal(again.moves.tool, program.moves.tool)
-        assert again.facts.lines() == program.facts.lines()
-        assert {n: c.outline().tolist() for n, c in again.facts.tools.items()} == {
-            n: c.outline().tolist() for n, c in program.facts.tools.items()
+        assert again.setup.to_text() == program.setup.to_text()
+        assert {n: c.outline() for n, c in again.setup.tools.items()} == {
+            n: c.outline() for n, c in program.setup.tools.items()
         }
         assert faults(again) == []
 
@@ -98,17 +96,16 @@ def test_files_read_back_give_the_same_moves_cutters_and_zeros(exporter: Milling
 def test_rml_follows_the_path_of_gcode_within_its_steps(tmp_path: Path) -> None:
     """Along every line: 0.01 mm for a coordinate's rounding, twice, since heights are rounded up."""
     solid, options = waves(), {"cutter": BALL, "stepover": "0.2mm", "operation": "finishing"}
-    written(Gcode(**options), tmp_path / "g", solid)
-    written(Rml(**options), tmp_path / "r", solid)
-    fine, coarse = (read_program(find_programs(tmp_path / name)[0]).moves for name in "gr")
+    exporters = Gcode(**options), Rml(**options)
+    fine, coarse = (programs_of(e, written(e, tmp_path / e.type, solid))[0].moves for e in exporters)
     rows = np.unique(coarse.points[:, 1])
     for y in rows[5:-5:7]:
         near = np.unique(fine.points[:, 1])[np.abs(np.unique(fine.points[:, 1]) - y).argmin()]
         profiles = []
         for moves, at in ((fine, near), (coarse, y)):
-            lines = moves.lines()
-            along = lines[(lines[:, 1] == at) & (lines[:, 4] == at) & (lines[:, 0] != lines[:, 3])]
-            ends = np.concatenate([along[:, :3], along[:, 3:]])
+            cuts = moves.cutting()
+            along = cuts[(cuts[:, :, 1] == at).all(axis=1) & (cuts[:, 0, 0] != cuts[:, 1, 0])]
+            ends = np.concatenate([along[:, 0], along[:, 1]])
             ends = ends[np.argsort(ends[:, 0])]
             profiles.append(np.interp(np.linspace(-2.5, 2.5, 201), ends[:, 0], ends[:, 2]))
         slope = 0.01 * 0.6  # of lines that are up to half a step of y apart
@@ -124,8 +121,8 @@ def test_rml_is_what_rolands_engravers_take(tmp_path: Path) -> None:
 
 
 def test_grbl_has_one_cutter_a_file_and_no_word_that_it_does_not_know(tmp_path: Path) -> None:
-    written(Gcode(**COARSE, flavour="grbl"), tmp_path, bumpy())
-    paths = find_programs(tmp_path)
+    exporter = Gcode(**COARSE, flavour="grbl")
+    paths = exporter.program_files(written(exporter, tmp_path, bumpy()))
     assert [path.name for path in paths] == ["lens.ngc", "lens-2.ngc"]
     for path in paths:
         code = re.sub(r"\([^)]*\)", "", path.read_text())
@@ -172,7 +169,7 @@ def test_the_sheet_tells_the_maker_what_to_know(tmp_path: Path) -> None:
 def test_cutters_are_read_back_from_their_text() -> None:
     for options in (BALL, FLAT, V, POINTED, {**V, "tip_form": "flat", "reach": "7.5mm"}):
         tool = cutter(options)
-        assert Cutter.parse(str(tool)).outline().tolist() == tool.outline().tolist()
+        assert Cutter.parse(str(tool)).outline() == tool.outline()
     with pytest.raises(ValueError, match="'a spoon' describes no cutter"):
         Cutter.parse("a spoon")
 
@@ -180,8 +177,8 @@ def test_cutters_are_read_back_from_their_text() -> None:
 def test_other_cutters_than_the_stated_ones_can_be_tried(tmp_path: Path) -> None:
     """A worn tip: the lens keeps more than it should where it was sharp, and loses where it is fatter."""
     solid = waves()
-    made = milled(Gcode(**COARSE, rougher=None), tmp_path, solid)
-    fat = simulate(find_programs(tmp_path), solid, {1: cutter(BALL)})
+    made = machined(Gcode(**COARSE, rougher=None), tmp_path, solid)
+    fat = run_programs([program.with_cutters({1: cutter(BALL)}) for program in made.programs], solid)
     assert made.fit.gouge_mm < 0.001 < fat.fit.gouge_mm
 
 
@@ -208,22 +205,24 @@ def test_files_that_lack_what_must_be_known_are_named(tmp_path: Path) -> None:
     path = written(Gcode(**COARSE), tmp_path, flat())
     path.write_text(re.sub(r"\(.*\)\n", "", path.read_text()))
     with pytest.raises(InputError, match=r"lens\.ngc: it is not said where zero is or what cuts"):
-        read_program(path)
+        Gcode(**COARSE).read_program(path)
     path = written(Rml(**COARSE), tmp_path, flat())
     (tmp_path / "lens.rml.txt").unlink()
     with pytest.raises(InputError, match=r"lens\.rml: cannot be read"):
-        read_program(path)
+        Rml(**COARSE).read_program(path)
 
 
 def test_faults_are_found(tmp_path: Path) -> None:
-    path = written(Gcode(**COARSE, rougher=None), tmp_path, bumpy())
+    exporter = Gcode(**COARSE, rougher=None)
+    path = written(exporter, tmp_path, bumpy())
     good = path.read_text()
     path.write_text(good.replace("M5\n", "G0 X0 Y0 Z-0.5\n", 1))
-    assert ["rapid at z = -0.5000, below the plate's top" in text for text in faults(read_program(path))] == [True]
+    (fault,) = faults(exporter.read_program(path))
+    assert "rapid at z = -0.5000, below the plate's top" in fault
     path.write_text(good.replace("reach 15mm", "reach 0.5mm"))
-    assert re.search(r"cutter 1 goes [\d.]+ mm deep but reaches 0.5", faults(read_program(path))[0])
+    assert re.search(r"cutter 1 goes [\d.]+ mm deep but reaches 0.5", faults(exporter.read_program(path))[0])
     path.write_text(good)
-    assert "more than the bed of 5 x 5" in faults(read_program(path), (5.0, 5.0))[0]
+    assert "more than the bed of 5 x 5" in faults(exporter.read_program(path), (5.0, 5.0))[0]
 
 
 @pytest.mark.parametrize(

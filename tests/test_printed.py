@@ -15,7 +15,7 @@ from magiclens.meshing.validation import validate
 from magiclens.profiles.machines import Printer, machines
 from magiclens.rendering.tracer import Tracer
 from magiclens.simulation.as_made import as_made, rough_pictures
-from magiclens.simulation.printed import printed
+from magiclens.simulation.as_printed import as_printed
 from scenes import blotches, grey_view
 
 RAW = {"blur": "0mm", "polish": "0mm"}
@@ -46,7 +46,7 @@ def wedge(slope: float = 0.1) -> Solid:
 @pytest.mark.parametrize("options", [RAW, {}, {"blur": "0.2mm"}])
 def test_a_print_is_a_closed_body_of_the_same_volume(options: dict[str, Any]) -> None:
     solid = bumpy()
-    made = printed(solid, printer(**options))
+    made = as_printed(solid, printer(**options))
     findings = validate(made)
     assert findings.flaws == ()
     assert findings.metrics["bodies"] == 1
@@ -54,7 +54,7 @@ def test_a_print_is_a_closed_body_of_the_same_volume(options: dict[str, Any]) ->
 
 
 def test_raw_prints_have_whole_layers_each_half_a_layer_off_at_most() -> None:
-    made = heights(printed(wedge(), printer(**RAW, layer="0.1mm", dpi=[508, 508])))
+    made = heights(as_printed(wedge(), printer(**RAW, layer="0.1mm", dpi=[508, 508])))
     np.testing.assert_allclose(made / 0.1, np.rint(made / 0.1), atol=1e-9)
     x = np.arange(made.shape[1]) * 0.05
     x -= x.mean()
@@ -64,14 +64,14 @@ def test_raw_prints_have_whole_layers_each_half_a_layer_off_at_most() -> None:
 
 
 def test_pixels_are_those_of_the_printer() -> None:
-    made = printed(flat(), printer())
+    made = as_printed(flat(), printer())
     points = made.vertices[: made.grid[0] * made.grid[1]].reshape(*made.grid, 3)  # type: ignore[index,misc]
     assert np.diff(points[0, :, 0]) == pytest.approx(25.4 / 600)
     assert np.diff(points[:, 0, 1]) == pytest.approx(-25.4 / 300)
 
 
 def test_polishing_takes_the_stairs_away_and_keeps_the_slope() -> None:
-    raw, even = (heights(printed(wedge(), printer(blur="0mm", layer="0.1mm", polish=p))) for p in ("0mm", "1mm"))
+    raw, even = (heights(as_printed(wedge(), printer(blur="0mm", layer="0.1mm", polish=p))) for p in ("0mm", "1mm"))
     inner = slice(even.shape[1] // 3, -even.shape[1] // 3)
     steepest = [np.abs(np.diff(z[len(z) // 2, inner])).max() for z in (raw, even)]
     pixel = 25.4 / 600
@@ -84,7 +84,7 @@ def test_spreading_is_as_wide_as_its_sigma() -> None:
     step = np.zeros((2, 2, 3, 3))
     step[:, 1] = 1.0
     spreading = printer(blur="0.3mm", polish="0.4mm", layer="1um")
-    made = printed(solid_from_heights(HeightField(lens, step, None)), spreading)
+    made = as_printed(solid_from_heights(HeightField(lens, step, None)), spreading)
     z = heights(made)[made.grid[0] // 4] - 8  # type: ignore[index]
     x = made.vertices[: len(z), 0]
     density = np.gradient(z, x)[abs(x) < 3]

@@ -17,7 +17,7 @@ from magiclens.contract.errors import InputError
 from magiclens.contract.stages import Exporter
 from magiclens.exporting.monitor import Monitor
 from magiclens.exporting.print_page import listed
-from magiclens.exporting.sheet import PAPERS, Sheet
+from magiclens.exporting.print_sheet import PAPERS, PrintSheet
 from magiclens.images.colour import to_display
 from magiclens.plan.compile import load_plan
 from toys import TOYS, SpecWriter, registry_of
@@ -76,7 +76,7 @@ def groups(numbers: Ink) -> list[Ink]:
 def sheet(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four rotations over one source."""
     views = [view_of(patch(), f"rotation-{a:03d}", a) for a in (0, 90, 180, 270)]
-    return written(Sheet(), tmp_path_factory.mktemp("sheet"), flat(LENS, EYE), scene_of(*views))
+    return written(PrintSheet(), tmp_path_factory.mktemp("sheet"), flat(LENS, EYE), scene_of(*views))
 
 
 @pytest.fixture(scope="module")
@@ -138,7 +138,7 @@ def test_views_stand_at_the_side_that_the_lens_s_top_points_to(sheet: Path) -> N
 @pytest.mark.parametrize("channels", [1, 3])
 def test_source_keeps_every_pixel(channels: int, tmp_path: Path) -> None:
     source = np.random.default_rng(0).random((70, 70, channels)).astype(np.float32)
-    path = written(Sheet(), tmp_path, flat(LENS, EYE), scene_of(view_of(source)))
+    path = written(PrintSheet(), tmp_path, flat(LENS, EYE), scene_of(view_of(source)))
     with pypdfium2.PdfDocument(path) as pdf:
         images = [o for o in pdf[0].get_objects() if isinstance(o, pypdfium2.PdfImage)]
         assert len(images) == 1
@@ -149,7 +149,7 @@ def test_source_keeps_every_pixel(channels: int, tmp_path: Path) -> None:
 def test_every_source_has_its_page(tmp_path: Path) -> None:
     frames = [view_of(np.full((8, 8), k / 4), f"frame-{k}", source_name=f"frame-{k}") for k in range(3)]
     again = view_of(np.full((8, 8), 0.0), "frame-0-again", 180.0, "frame-0")
-    with pypdfium2.PdfDocument(written(Sheet(), tmp_path, flat(LENS), scene_of(*frames, again))) as pdf:
+    with pypdfium2.PdfDocument(written(PrintSheet(), tmp_path, flat(LENS), scene_of(*frames, again))) as pdf:
         texts = [page.get_textpage().get_text_range() for page in pdf]
     assert len(texts) == 3
     for k, text in enumerate(texts):
@@ -160,7 +160,7 @@ def test_every_source_has_its_page(tmp_path: Path) -> None:
 def test_a_lens_that_leans_has_an_outline_for_every_way_it_lies(tmp_path: Path) -> None:
     """Its bottom is off the axis; turned by 180 degrees it is off to the other side."""
     views = [view_of(patch(), "first"), view_of(patch(), "second", 180.0)]
-    path = written(Sheet(), tmp_path, box((-30, -30, 0), (50, 30, 8)), scene_of(*views))
+    path = written(PrintSheet(), tmp_path, box((-30, -30, 0), (50, 30, 8)), scene_of(*views))
     assert np.diff(lines_at(ink_of(path).T, 60)) == pytest.approx([20, 60, 20], abs=CLOSE_MM + STROKE_MM)
 
 
@@ -168,7 +168,7 @@ def test_a_lens_that_leans_has_an_outline_for_every_way_it_lies(tmp_path: Path) 
 def test_a_lens_that_shows_what_is_beside_it_shows_no_outline(gap: float, lines: int, tmp_path: Path) -> None:
     """Across a gap it sees the source beside its bottom too: only marks outside the source say where it goes."""
     lens = replace(LENS, source_size_mm=90.0, gap_mm=gap)
-    path = written(Sheet(), tmp_path, flat(lens), scene_of(view_of(np.ones((8, 8))), lens=lens))
+    path = written(PrintSheet(), tmp_path, flat(lens), scene_of(view_of(np.ones((8, 8))), lens=lens))
     ink = ink_of(path)
     assert len(lines_at(ink, 60)) == lines
     assert lines or len(lines_at(ink, 6)) == 2  # the marks
@@ -179,25 +179,25 @@ def test_a_lens_that_shows_what_is_beside_it_shows_no_outline(gap: float, lines:
 )
 def test_paper_is_the_first_that_is_large_enough(size: float, paper: str, tmp_path: Path) -> None:
     lens = Lens(size_mm=size, source_size_mm=size, facets=2, microfacets=1, thickness_mm=8.0)
-    with pypdfium2.PdfDocument(written(Sheet(), tmp_path, flat(lens), scene_of(lens=lens))) as pdf:
+    with pypdfium2.PdfDocument(written(PrintSheet(), tmp_path, flat(lens), scene_of(lens=lens))) as pdf:
         assert np.array(pdf[0].get_size()) / 72 * 25.4 == pytest.approx(PAPERS[paper], abs=0.01)
 
 
 def test_paper_must_be_high_enough_too(tmp_path: Path) -> None:
     narrow = box((-30, -130, 0), (30, 130, 8))
-    with pypdfium2.PdfDocument(written(Sheet(), tmp_path, narrow, scene_of())) as pdf:
+    with pypdfium2.PdfDocument(written(PrintSheet(), tmp_path, narrow, scene_of())) as pdf:
         assert np.array(pdf[0].get_size()) / 72 * 25.4 == pytest.approx(PAPERS["a3"], abs=0.01)
 
 
 def test_paper_may_be_chosen_if_it_is_large_enough(tmp_path: Path) -> None:
-    with pypdfium2.PdfDocument(written(Sheet(paper="a3"), tmp_path, flat(LENS), scene_of())) as pdf:
+    with pypdfium2.PdfDocument(written(PrintSheet(paper="a3"), tmp_path, flat(LENS), scene_of())) as pdf:
         assert np.array(pdf[0].get_size()) / 72 * 25.4 == pytest.approx(PAPERS["a3"], abs=0.01)
     lens = Lens(size_mm=250.0, source_size_mm=250.0, facets=2, microfacets=1)
     with pytest.raises(InputError, match=r"sheet: paper: the sheet needs .* mm, a4 has 210 x 297 mm; use a2 or a1"):
-        written(Sheet(paper="a4"), tmp_path, flat(lens), scene_of(lens=lens))
+        written(PrintSheet(paper="a4"), tmp_path, flat(lens), scene_of(lens=lens))
     lens = Lens(size_mm=900.0, source_size_mm=900.0, facets=2, microfacets=1)
     with pytest.raises(InputError, match="no paper is that large; make the source smaller"):
-        written(Sheet(), tmp_path, flat(lens), scene_of(lens=lens))
+        written(PrintSheet(), tmp_path, flat(lens), scene_of(lens=lens))
 
 
 @pytest.mark.parametrize(
@@ -213,11 +213,11 @@ def test_paper_may_be_chosen_if_it_is_large_enough(tmp_path: Path) -> None:
 def test_wrong_options_are_explained(choice: str, message: str, write_spec: SpecWriter) -> None:
     spec = write_spec(("exporters: [{type: toy}]", f"exporters: [{{{choice}}}]"))
     with pytest.raises(InputError) as caught:
-        load_plan(spec, registry=registry_of(*TOYS, Sheet, Monitor))
+        load_plan(spec, registry=registry_of(*TOYS, PrintSheet, Monitor))
     assert f"pipeline.exporters.0.{message}" in str(caught.value)
 
 
-@pytest.mark.parametrize("exporter", [Sheet(), Monitor(ppi=109)], ids=["sheet", "monitor"])
+@pytest.mark.parametrize("exporter", [PrintSheet(), Monitor(ppi=109)], ids=["sheet", "monitor"])
 def test_equal_sources_give_equal_bytes_and_others_do_not(exporter: Exporter, tmp_path: Path) -> None:
     scenes = {"one": scene_of(), "same": scene_of(), "other": scene_of(view_of(np.eye(600)))}
     files = {name: written(exporter, tmp_path / name, flat(LENS), scene).read_bytes() for name, scene in scenes.items()}

@@ -76,10 +76,10 @@ def machined_command(
     with reporting(traceback):
         from dataclasses import asdict
 
-        from magiclens.running.machined import as_text, machined
+        from magiclens.running.milling_simulation import simulate_milling
 
-        found = machined(run_dir)
-        print_result(lambda: as_text(found), lambda: asdict(found), quiet, as_json)
+        found = simulate_milling(run_dir)
+        print_result(found.as_text, lambda: asdict(found), quiet, as_json)
 
 
 def view_command(

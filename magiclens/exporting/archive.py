@@ -6,7 +6,7 @@ from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipInfo
 
 
 def entry(name: str, packed: bool = True) -> ZipInfo:
-    """A file of an archive, without date or machine; ``packed`` is False for what is small already."""
+    """The entry of a file in an archive, without date or machine; ``packed`` is False if it is compressed already."""
     info = ZipInfo(name, (1980, 1, 1, 0, 0, 0))
     info.create_system = 3
     info.external_attr = 0o644 << 16

@@ -1,4 +1,4 @@
-"""Binary glTF 2.0: for web pages and viewers, which show the lens as clear plastic."""
+"""Binary glTF (Khronos glTF 2.0 specification): for web pages and viewers, which show the lens as clear plastic."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import numpy as np
 from magiclens.contract.artifacts import FloatArray, IntArray, Lens, Scene, Solid
 from magiclens.contract.stages import Exporter
 
-FLOAT, UNSIGNED, VERTICES, INDICES = 5126, 5125, 34962, 34963
-"""glTF's numbers for float32, uint32 and the two kinds of buffers."""
+_FLOAT, _UNSIGNED, _VERTICES, _INDICES = 5126, 5125, 34962, 34963
+"""Numbers of glTF 2.0 for float32, uint32 and the two kinds of buffers."""
 
 
 class Glb(Exporter):
@@ -39,7 +39,7 @@ class Glb(Exporter):
 
 
 def _upright(vertices: FloatArray) -> FloatArray:
-    """(V, 3) float32, metres: x stays right, z becomes glTF's up, y points away."""
+    """(V, 3) float32, metres: x stays right, z becomes glTF's up, -y its z, which points toward the viewer."""
     x, y, z = vertices.T / 1000
     return np.stack([x, z, -y], axis=-1).astype("<f4")
 
@@ -61,12 +61,12 @@ def _asset(lens: Lens, points: FloatArray, faces: IntArray) -> dict[str, Any]:
         "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1, "material": 0}]}],
         "materials": [{"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 0.0}, "extensions": glass}],
         "accessors": [
-            {"bufferView": 0, "componentType": FLOAT, "count": len(points), "type": "VEC3", **extent},
-            {"bufferView": 1, "componentType": UNSIGNED, "count": faces.size, "type": "SCALAR"},
+            {"bufferView": 0, "componentType": _FLOAT, "count": len(points), "type": "VEC3", **extent},
+            {"bufferView": 1, "componentType": _UNSIGNED, "count": faces.size, "type": "SCALAR"},
         ],
         "bufferViews": [
-            {"buffer": 0, "byteLength": points.nbytes, "target": VERTICES},
-            {"buffer": 0, "byteOffset": points.nbytes, "byteLength": faces.nbytes, "target": INDICES},
+            {"buffer": 0, "byteLength": points.nbytes, "target": _VERTICES},
+            {"buffer": 0, "byteOffset": points.nbytes, "byteLength": faces.nbytes, "target": _INDICES},
         ],
         "buffers": [{"byteLength": points.nbytes + faces.nbytes}],
     }

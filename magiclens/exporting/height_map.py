@@ -14,9 +14,10 @@ from magiclens.contract.errors import InputError
 from magiclens.contract.stages import Exporter
 from magiclens.contract.units import LENGTH, Length
 
-WHITE = 65535
-MOST_PIXELS = 16384
-"""Pixels per side; more need more memory than a desktop has."""
+_WHITE = 65535
+"""Grey value of the highest point."""
+_MOST_PIXELS = 16384
+"""Most pixels per side; more need more memory than a desktop has."""
 
 
 class HeightMap(Exporter):
@@ -32,7 +33,7 @@ class HeightMap(Exporter):
     pixel: Length = Field("0.05mm", validate_default=True, gt=0, description="side of a pixel, about")
 
     def export(self, scene: Scene, solid: Solid, path: Path) -> None:
-        """Write the picture, and the facts beside it. Raises InputError if pixels are too many or too large."""
+        """Write the picture, and what it means beside it. Raises InputError if pixels are too many or too large."""
         from magiclens.geometry.columns import top_heights
 
         lens = scene.lens
@@ -41,18 +42,18 @@ class HeightMap(Exporter):
         x = (np.arange(side) + 0.5) * pixel_mm - lens.size_mm / 2
         z = top_heights(solid, x, -x)
         low, high = (float(bound) for bound in (np.nanmin(z), np.nanmax(z)))
-        low = min(low, high - 0.001)
+        low = min(low, high - 0.001)  # a flat top has a range too
         _write(z, low, high, path, pixel_mm)
-        facts = _facts(scene, side, low, high)
-        path.with_suffix(".json").write_text(json.dumps(facts, indent=2) + "\n", encoding="utf-8")
+        meaning = json.dumps(_meaning(scene, side, low, high), indent=2)
+        path.with_suffix(".json").write_text(meaning + "\n", encoding="utf-8")
 
     def _side(self, size_mm: float) -> int:
         """Pixels per side that divide the lens evenly."""
         side = round(size_mm / self.pixel)
-        if 2 <= side <= MOST_PIXELS:
+        if 2 <= side <= _MOST_PIXELS:
             return side
-        near = LENGTH.text(size_mm / 2 if side < 2 else round(size_mm / MOST_PIXELS + 5e-5, 4))
-        wish = f"'{LENGTH.text(self.pixel)}' gives {side} x {side} pixels; 2 to {MOST_PIXELS} per side are possible"
+        near = LENGTH.text(size_mm / 2 if side < 2 else round(size_mm / _MOST_PIXELS + 5e-5, 4))
+        wish = f"'{LENGTH.text(self.pixel)}' gives {side} x {side} pixels; 2 to {_MOST_PIXELS} per side are possible"
         raise InputError(f"{wish}, the nearest is '{near}'", "exporter heightmap: pixel")
 
 
@@ -60,11 +61,12 @@ def _write(z: FloatArray, low: float, high: float, path: Path, pixel_mm: float) 
     """Heights (rows, columns) as greys; what is beside the solid is black."""
     from PIL import Image
 
-    greys = np.rint((np.nan_to_num(z, nan=low) - low) * (WHITE / (high - low))).astype(np.uint16)
+    greys = np.rint((np.nan_to_num(z, nan=low) - low) * (_WHITE / (high - low))).astype(np.uint16)
     Image.fromarray(greys).save(path, format="PNG", dpi=(25.4 / pixel_mm,) * 2)
 
 
-def _facts(scene: Scene, side: int, low: float, high: float) -> dict[str, Any]:
+def _meaning(scene: Scene, side: int, low: float, high: float) -> dict[str, Any]:
+    """What pixels and grey values are in millimetres."""
     lens = scene.lens
     return {
         "format": "magiclens height map",

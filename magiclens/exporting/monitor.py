@@ -15,8 +15,8 @@ from magiclens.contract.stages import Exporter
 from magiclens.exporting.sources import distinct_sources
 from magiclens.images.files import write_png
 
-MOST_PIXELS = 16384
-"""Pixels per side."""
+_MOST_PIXELS = 16384
+"""Most pixels per side."""
 
 
 class Monitor(Exporter):
@@ -34,18 +34,26 @@ class Monitor(Exporter):
         """Write the picture of each source. Raises InputError if a screen cannot be that large."""
         size_mm, pixel_mm = scene.lens.source_size_mm, 25.4 / self.ppi
         side = math.ceil(size_mm / pixel_mm - 1e-6)
-        if side > MOST_PIXELS:
-            wish = f"{size_mm:g} mm at {self.ppi:g} ppi are {side} pixels per side, more than {MOST_PIXELS}"
-            raise InputError(f"{wish}; use {int(25.4 * MOST_PIXELS / size_mm)} or less", "exporter monitor: ppi")
+        if side > _MOST_PIXELS:
+            wish = f"{size_mm:g} mm at {self.ppi:g} ppi are {side} pixels per side, more than {_MOST_PIXELS}"
+            raise InputError(f"{wish}; use {int(25.4 * _MOST_PIXELS / size_mm)} or less", "exporter monitor: ppi")
         for k, (name, source) in enumerate(distinct_sources(scene).items()):
             file = path if k == 0 else path.with_name(path.name.replace(".png", f".{name}.png"))
             write_png(file, resampled(source, side, size_mm / pixel_mm), 1 / pixel_mm)
 
 
 def resampled(linear: FloatArray, side: int, across: float) -> FloatArray:
-    """(side, side, C) float32: a picture (H, W, C) in linear light, ``across`` new pixels wide, centred on white paper.
+    """A picture with other pixels, centred on white paper.
 
     Every new pixel is the exact mean of the light over its area, whether it is larger than the old ones or smaller.
+
+    Args:
+        linear: (H, W, C) linear light.
+        side: new pixels per side of the paper.
+        across: width of the picture in new pixels, at most ``side``.
+
+    Returns:
+        (side, side, C) float32, linear light.
     """
     rows = _resampled_rows(linear, side, across)
     return np.ascontiguousarray(np.swapaxes(_resampled_rows(np.swapaxes(rows, 0, 1), side, across), 0, 1))

@@ -18,11 +18,12 @@ from magiclens.contract.units import LENGTH, Length
 from magiclens.exporting.archive import entry
 
 if TYPE_CHECKING:
-    from magiclens.exporting.voxels import Bitmap, Lattice
+    from magiclens.exporting.voxels import Bitmap, VoxelGrid
 
-MOST_PIXELS = 10**8
-"""Pixels of a layer; more need more memory than a desktop has."""
-MOST_LAYERS = 10**5
+_MOST_PIXELS = 10**8
+"""Most pixels of a layer; more need more memory than a desktop has."""
+_MOST_LAYERS = 10**5
+"""Most layers; their names have five digits."""
 
 
 class Slices(Exporter):
@@ -40,36 +41,36 @@ class Slices(Exporter):
 
     def export(self, scene: Scene, solid: Solid, path: Path) -> None:
         """Write the archive layer by layer. Raises InputError if the stack would be too large."""
-        from magiclens.exporting.voxels import Lattice, layers
+        from magiclens.exporting.voxels import VoxelGrid, layers
 
-        lattice = Lattice.around(solid, (25.4 / self.dpi_x, 25.4 / self.dpi_y), self.layer)
-        self._check(lattice)
+        grid = VoxelGrid.around(solid, (25.4 / self.dpi_x, 25.4 / self.dpi_y), self.layer)
+        self._check(grid)
         filled = 0
         with ZipFile(path, "w") as archive:
-            for k, (bitmap, changed) in enumerate(layers(solid, lattice)):
-                if changed or k == 0:
-                    png = self._png(bitmap, lattice)
+            for k, (bitmap, changed) in enumerate(layers(solid, grid)):
+                if changed or k == 0:  # layers that are alike are compressed once
+                    png = self._png(bitmap, grid)
                     inside = int(np.bitwise_count(bitmap).sum(dtype=np.int64))
                 filled += inside
                 archive.writestr(entry(_name(k), packed=False), png)
-            text = json.dumps(_manifest(lattice, filled * lattice.voxel_mm3), indent=2) + "\n"
+            text = json.dumps(_manifest(grid, filled * grid.voxel_mm3), indent=2) + "\n"
             archive.writestr(entry("manifest.json"), text)
 
-    def _check(self, lattice: Lattice) -> None:
-        layers, rows, columns = lattice.shape
-        if rows * columns > MOST_PIXELS:
-            wish = f"a layer would have {columns} x {rows} pixels, more than {MOST_PIXELS:,}"
+    def _check(self, grid: VoxelGrid) -> None:
+        layers, rows, columns = grid.shape
+        if rows * columns > _MOST_PIXELS:
+            wish = f"a layer would have {columns} x {rows} pixels, more than {_MOST_PIXELS:,}"
             raise InputError(f"{wish}; lower dpi_x and dpi_y, now {self.dpi_x:g} and {self.dpi_y:g}", "exporter slices")
-        if layers > MOST_LAYERS:
-            wish = f"there would be {layers} layers, more than {MOST_LAYERS:,}"
+        if layers > _MOST_LAYERS:
+            wish = f"there would be {layers} layers, more than {_MOST_LAYERS:,}"
             raise InputError(f"{wish}; raise layer, now {LENGTH.text(self.layer)}", "exporter slices")
 
-    def _png(self, bitmap: Bitmap, lattice: Lattice) -> bytes:
+    def _png(self, bitmap: Bitmap, grid: VoxelGrid) -> bytes:
         """A layer as a file that knows its physical size."""
         from PIL import Image
 
         file = BytesIO()
-        image = Image.frombytes("1", (lattice.shape[2], lattice.shape[1]), bitmap.tobytes())
+        image = Image.frombytes("1", (grid.shape[2], grid.shape[1]), bitmap.tobytes())
         image.save(file, format="PNG", compress_level=1, dpi=(self.dpi_x, self.dpi_y))
         return file.getvalue()
 
@@ -78,16 +79,16 @@ def _name(layer: int) -> str:
     return f"layer-{layer:05d}.png"
 
 
-def _manifest(lattice: Lattice, filled_mm3: float) -> dict[str, Any]:
-    layers, rows, columns = lattice.shape
+def _manifest(grid: VoxelGrid, filled_mm3: float) -> dict[str, Any]:
+    layers, rows, columns = grid.shape
     return {
         "format": "magiclens slices",
         "unit": "mm",
         "layers": layers,
-        "layer_mm": lattice.layer_mm,
+        "layer_mm": grid.layer_mm,
         "pixels": [columns, rows],
-        "pixel_mm": list(lattice.pixel_mm),
-        "first_voxel_mm": list(lattice.first_mm),
+        "pixel_mm": list(grid.pixel_mm),
+        "first_voxel_mm": list(grid.first_mm),
         "first_layer": _name(0),
         "last_layer": _name(layers - 1),
         "material": "white",

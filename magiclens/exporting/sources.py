@@ -1,4 +1,4 @@
-"""What exporters of sources share."""
+"""The sources of a scene, as exporters of sources need them."""
 
 from __future__ import annotations
 

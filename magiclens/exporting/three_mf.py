@@ -1,4 +1,4 @@
-"""3MF: what printers are fed with, a mesh with its unit (3MF Core Specification)."""
+"""3MF: a mesh with its unit, for printers (3MF Core Specification 1.3)."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from magiclens.contract.artifacts import Scene, Solid
 from magiclens.contract.stages import Exporter
 from magiclens.exporting.archive import entry
 
-NANOMETRE = 6
-"""Decimals of a millimetre."""
-CHUNK = 1 << 16
-"""Rows that are text at one time."""
+_NANOMETRE = 6
+"""Decimals of a millimetre that vertices have."""
+_CHUNK = 1 << 16
+"""Rows of numbers that are turned to text at one time."""
 
-TYPES = """<?xml version="1.0" encoding="UTF-8"?>
+_TYPES = """<?xml version="1.0" encoding="UTF-8"?>
 <Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types">
 <Default Extension="rels" ContentType="application/vnd.openxmlformats-package.relationships+xml"/>
 <Default Extension="model" ContentType="application/vnd.ms-package.3dmanufacturing-3dmodel+xml"/>
 </Types>
 """
-RELATIONS = """<?xml version="1.0" encoding="UTF-8"?>
+_RELATIONS = """<?xml version="1.0" encoding="UTF-8"?>
 <Relationships xmlns="http://schemas.openxmlformats.org/package/2006/relationships">
 <Relationship Id="rel0" Target="/3D/3dmodel.model" \
 Type="http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"/>
 </Relationships>
 """
-HEAD = """<?xml version="1.0" encoding="UTF-8"?>
+_HEAD = """<?xml version="1.0" encoding="UTF-8"?>
 <model unit="millimeter" xml:lang="en-US" xmlns="http://schemas.microsoft.com/3dmanufacturing/core/2015/02">
 <metadata name="Title">Magic lens, {size:g} x {size:g} mm, index of refraction {ior:g}</metadata>
 <metadata name="Designer">magiclens</metadata>
@@ -40,7 +40,7 @@ HEAD = """<?xml version="1.0" encoding="UTF-8"?>
 <mesh>
 <vertices>
 """
-TAIL = """</triangles>
+_TAIL = """</triangles>
 </mesh>
 </object>
 </resources>
@@ -49,8 +49,8 @@ TAIL = """</triangles>
 </build>
 </model>
 """
-VERTEX = (b'<vertex x="', b'" y="', b'" z="', b'"/>\n')
-TRIANGLE = (b'<triangle v1="', b'" v2="', b'" v3="', b'"/>\n')
+_VERTEX = (b'<vertex x="', b'" y="', b'" z="', b'"/>\n')
+_TRIANGLE = (b'<triangle v1="', b'" v2="', b'" v3="', b'"/>\n')
 
 
 class ThreeMf(Exporter):
@@ -64,10 +64,11 @@ class ThreeMf(Exporter):
 
     def export(self, scene: Scene, solid: Solid, path: Path) -> None:
         """Write the package, its mesh in pieces."""
+        # an archive must be told beforehand whether an entry may exceed 2 GiB; a row of XML has at most 120 characters
         large = 120 * (len(solid.vertices) + len(solid.faces)) > 1 << 31
         with ZipFile(path, "w") as archive:
-            archive.writestr(entry("[Content_Types].xml"), TYPES)
-            archive.writestr(entry("_rels/.rels"), RELATIONS)
+            archive.writestr(entry("[Content_Types].xml"), _TYPES)
+            archive.writestr(entry("_rels/.rels"), _RELATIONS)
             with archive.open(entry("3D/3dmodel.model"), "w", force_zip64=large) as model:
                 for part in _model(scene, solid):
                     model.write(part)
@@ -77,12 +78,12 @@ def _model(scene: Scene, solid: Solid) -> Iterator[bytes]:
     """The XML of the model, in pieces."""
     from magiclens.exporting.digits import text_rows
 
-    yield HEAD.format(size=scene.lens.size_mm, ior=scene.lens.ior).encode()
-    for k in range(0, len(solid.vertices), CHUNK):
-        counts = np.rint(solid.vertices[k : k + CHUNK] * 10**NANOMETRE).astype(np.int64)
-        yield text_rows(counts, VERTEX, NANOMETRE)
+    yield _HEAD.format(size=scene.lens.size_mm, ior=scene.lens.ior).encode()
+    for k in range(0, len(solid.vertices), _CHUNK):
+        counts = np.rint(solid.vertices[k : k + _CHUNK] * 10**_NANOMETRE).astype(np.int64)
+        yield text_rows(counts, _VERTEX, _NANOMETRE)
     yield b"</vertices>\n<triangles>\n"
-    for k in range(0, len(solid.faces), CHUNK):
-        yield text_rows(solid.faces[k : k + CHUNK].astype(np.int64), TRIANGLE)
+    for k in range(0, len(solid.faces), _CHUNK):
+        yield text_rows(solid.faces[k : k + _CHUNK].astype(np.int64), _TRIANGLE)
     moved = (f"{-low + 0.0:.6f}" for low in solid.vertices.min(axis=0))
-    yield TAIL.format(" ".join(moved)).encode()
+    yield _TAIL.format(" ".join(moved)).encode()

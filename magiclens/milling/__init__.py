@@ -1,1 +1,1 @@
-"""Programs for milling machines, and what a machine makes of them."""
+"""Programs for milling machines: toolpaths that cut a lens out of a plate, and the languages they are written in."""

@@ -1,142 +1,37 @@
-"""The options that programs for milling machines have in common."""
+"""The contract of exporters whose files a milling machine runs."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
+from itertools import count, takewhile
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING
 
-from pydantic import BeforeValidator, Field, PlainSerializer, WithJsonSchema, model_validator
-
-from magiclens.contract.artifacts import Scene, Solid
 from magiclens.contract.stages import Exporter
-from magiclens.contract.units import LENGTH, Length, Quantity
-from magiclens.milling.cutter import Cutter
 
 if TYPE_CHECKING:
-    from magiclens.milling.program import Program
-
-SPEED = Quantity("a speed", "mm/min", {"mm/min": 1.0, "mm/s": 60.0, "m/min": 1000.0, "in/min": 25.4})
-
-Speed = Annotated[
-    float,
-    BeforeValidator(SPEED.parse),
-    PlainSerializer(SPEED.text, return_type=str, when_used="json"),
-    WithJsonSchema({"type": "string", "pattern": SPEED.pattern}),
-]
-"""A speed: text such as ``800mm/min`` or ``15mm/s``; a float in mm per minute inside."""
+    from magiclens.milling.program import MillingProgram
 
 
-class Milling(Exporter):
-    """A program that mills the lens's top out of a plate: roughing in levels, then finishing along straight lines.
+class MillingExporter(Exporter):
+    """An exporter of milling programs that can read them back.
 
-    The cutter's shape is compensated exactly: nothing of the lens is cut away, whatever the cutter; what the cutter
-    cannot reach, such as the bottom of a valley narrower than itself, is left standing. Undercuts are left out: the
-    highest surface counts. The plate's sides stay as they are. A second file, ``lens<suffix>.txt``, tells the maker
-    how to set up: the plate, the cutters, where zero is, how long it takes. ``mlens machined`` runs the programs of a
-    run folder without a machine and shows what their lens will show.
+    ``mlens machined`` asks it for the programs of a run folder and runs them without a machine.
     """
 
-    operation: Literal["roughing", "finishing", "both"] = Field("both", description="what is done")
-    cutter: Cutter = Field(
-        Cutter.model_validate({"shape": "v", "diameter": "3mm"}),
-        description="for finishing: its tip decides how sharp the borders between facets get",
-    )
-    rougher: Cutter | None = Field(
-        Cutter.model_validate({"shape": "ball", "diameter": "3mm"}),
-        description="for roughing; null: the cutter for finishing",
-    )
-    axis: Literal["x", "y"] = Field("x", description="direction of the lines")
-    stepover: Length = Field("0.03mm", validate_default=True, gt=0, description="between the lines of finishing")
-    tolerance: Length | None = Field(
-        None, gt=0, le=1,
-        description="most that straight segments leave on the lens; if left out, a hundredth of the stepover, at most "
-        "0.0005mm: lines side by side that differ by more tilt the surface that polishing leaves",
-    )  # fmt: skip
-    rough_stepover: Length | None = Field(
-        None, gt=0, description="between the lines of roughing, 0.4 of the cutter's diameter (its tip's, of a v)"
-    )
-    rough_stepdown: Length | None = Field(
-        None, gt=0, description="between the levels of roughing, half the cutter's diameter if left out"
-    )
-    allowance: Length = Field("0.1mm", validate_default=True, ge=0, description="what roughing leaves for finishing")
-    safe_height: Length = Field("5mm", validate_default=True, gt=0, description="above the plate, where it travels")
-    feed: Speed = Field("1200mm/min", validate_default=True, gt=0, description="while cutting")
-    plunge: Speed = Field("300mm/min", validate_default=True, gt=0, description="straight down")
-    spindle: int = Field(12000, ge=1, description="turns per minute")
-    stock: Length | None = Field(None, gt=0, description="thickness of the plate, the lens's highest point if left out")
-    bed: tuple[Length, Length] | None = Field(
-        None, description="the machine's travel in x and y; a lens that is larger is milled in tiles, a file for each"
-    )
+    def program_files(self, path: Path) -> list[Path]:
+        """The programs that ``export`` has written for ``path``, in the order in which they run; empty if none.
 
-    step_mm: ClassVar[float]
-    """What coordinates are multiples of."""
-
-    @model_validator(mode="after")
-    def _fits_together(self) -> Milling:
-        for name, over, cutter in (
-            ("stepover", self.stepover, self.cutter),
-            ("rough_stepover", self.rough_stepover_mm, self.roughing_cutter),
-        ):
-            if over > cutter.diameter:
-                whole = LENGTH.text(cutter.diameter)
-                wish = f"a {name} of {LENGTH.text(over)} leaves strips between the lines"
-                raise ValueError(f"{wish} of a {whole} cutter; at most {whole}")
-        numbers = [number for number, _ in self.cutters.values()]
-        if self.rougher not in (None, self.cutter) and len(numbers) > len(set(numbers)):
-            raise ValueError(f"cutter and rougher are different tools with the same number {numbers[0]}")
-        return self
-
-    @property
-    def cutters(self) -> dict[str, tuple[int, Cutter]]:
-        """Number and cutter of each operation, in order."""
-        two = self.operation == "both" and self.rougher not in (None, self.cutter)
-        every = {
-            "roughing": (self.roughing_cutter.number or 1, self.roughing_cutter),
-            "finishing": (self.cutter.number or (2 if two else 1), self.cutter),
-        }
-        return every if self.operation == "both" else {self.operation: every[self.operation]}
-
-    @property
-    def changes_cutters(self) -> bool:
-        """Whether a program may ask for another cutter; if not, there is a file for each."""
-        return False
-
-    @property
-    def roughing_cutter(self) -> Cutter:
-        """The cutter for roughing."""
-        return self.rougher or self.cutter
-
-    @property
-    def tolerance_mm(self) -> float:
-        """Most that segments leave: at least the step of coordinates."""
-        return max(self.tolerance or min(self.stepover / 100, 0.0005), self.step_mm)
-
-    @property
-    def rough_stepover_mm(self) -> float:
-        """Distance between the lines of roughing."""
-        cutter = self.roughing_cutter
-        return self.rough_stepover or (cutter.tip_mm if cutter.shape == "v" else 0) or 0.4 * cutter.diameter
-
-    @property
-    def rough_stepdown_mm(self) -> float:
-        """Distance between the levels of roughing."""
-        return self.rough_stepdown or self.roughing_cutter.diameter / 2
+        Unless an exporter has names of its own, these are ``path`` itself and then ``numbered(path, k)``.
+        """
+        further = (numbered(path, k) for k in count(2))
+        return [path, *takewhile(Path.is_file, further)] if path.is_file() else []
 
     @abstractmethod
-    def write(self, program: Program, comments: list[str]) -> str:
-        """The text of a program, with comments at its head if the language has any."""
+    def read_program(self, path: Path) -> MillingProgram:
+        """The program in one of these files. Raises InputError naming the file and what is not understood in it."""
 
-    def export(self, scene: Scene, solid: Solid, path: Path) -> None:
-        """Write the first program, others beside it as ``lens-2`` and so on, and what the maker must know as text.
 
-        Raises InputError if a cutter is too short, the plate too thin or the bed too small.
-        """
-        from magiclens.milling.job import job
-        from magiclens.milling.sheet import comments, sheet
-
-        done = job(self, solid)
-        names = [path.name, *(f"{path.stem}-{k}{path.suffix}" for k in range(2, len(done.programs) + 1))]
-        for name, program in zip(names, done.programs, strict=True):
-            path.with_name(name).write_text(self.write(program, comments(done, program)), encoding="ascii")
-        path.with_name(f"{path.name}.txt").write_text(sheet(self, done, names), encoding="utf-8")
+def numbered(path: Path, number: int) -> Path:
+    """Where the second, third, ... program of an export is: ``lens-2.ngc`` beside ``lens.ngc``."""
+    return path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")

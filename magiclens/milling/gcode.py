@@ -1,35 +1,39 @@
-"""Milling programs in G-code (RS274/NGC), as LinuxCNC and grbl take it; and programs read back."""
+"""Milling programs in G-code (RS274/NGC) as LinuxCNC and grbl take it, written and read back."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 from pydantic import Field
 
 from magiclens.contract.errors import InputError
-from magiclens.milling.exporter import Milling
+from magiclens.milling.line_milling import LineMilling
+from magiclens.milling.program import MillingSetup
 
 if TYPE_CHECKING:
     from magiclens.milling.cutter import Cutter
-    from magiclens.milling.moves import Moves
-    from magiclens.milling.program import Program
+    from magiclens.milling.program import MillingProgram
+    from magiclens.milling.toolpath import Moves
 
-MODES = "G17 G21 G90 G94 G40 G49 G80 G54"
-ACCEPTED = {
+_MODES = "G17 G21 G90 G94 G40 G49 G80 G54"
+"""Plane xy, millimetres, absolute, feed per minute, no offsets, no canned cycle, first coordinate system."""
+_ACCEPTED = {
     "G": {0, 1, 4, 17, 21, 40, 43, 49, 54, 64, 80, 90, 94},
     "M": {3, 5, 6, 30},
 }
-"""What ``parse_gcode`` understands: what programs here consist of. Anything else might move the tool elsewhere."""
-WITH_P = {("G", "4"), ("G", "64")}
+"""Codes that ``parse_gcode`` understands: those that are written here. Any other might move the tool elsewhere."""
+_WITH_P = {("G", "4"), ("G", "64")}
+"""Words that take a parameter P."""
 
-WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))")
-COMMENT = re.compile(r"\(([^)]*)\)")
+_WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))")
+_COMMENT = re.compile(r"\(([^)]*)\)")
 
 
-class Gcode(Milling):
-    __doc__ = f"""G-code in millimetres, absolute, feed per minute. {Milling.__doc__}"""
+class Gcode(LineMilling):
+    __doc__ = f"""G-code in millimetres, absolute, feed per minute. {LineMilling.__doc__}"""
 
     type: ClassVar[str] = "gcode"
     suffix: ClassVar[str] = ".ngc"
@@ -42,21 +46,29 @@ class Gcode(Milling):
         """LinuxCNC asks for another cutter; grbl cannot, so each of its programs has one."""
         return self.flavour == "linuxcnc"
 
-    def write(self, program: Program, comments: list[str]) -> str:
+    def write(self, program: MillingProgram, comments: list[str]) -> str:
         """The program as text, one move a line."""
         blend = f" G64 P{self.tolerance_mm:.4f}" if self.flavour == "linuxcnc" else ""
         lines = [f"({_plain(comment)})" for comment in comments]
-        return "\n".join([*lines, MODES + blend, *self._body(program), "M5", "M30", ""])
+        return "\n".join([*lines, _MODES + blend, *self._body(program), "M5", "M30", ""])
 
-    def _body(self, program: Program) -> Iterator[str]:
-        tool, said, moves = 0, _Said(), program.moves
+    def parse(self, text: str, setup: MillingSetup) -> Moves:
+        """The moves; programs name their cutters themselves. Raises InputError, see ``parse_gcode``."""
+        return parse_gcode(text)
+
+    def read_setup(self, path: Path, text: str) -> MillingSetup:
+        """The setup as the comments say, so that a program needs no other file."""
+        return MillingSetup.from_text(match[1] for match in _COMMENT.finditer(text))
+
+    def _body(self, program: MillingProgram) -> Iterator[str]:
+        tool, words, moves = 0, _ModalWords(), program.moves
         steps = zip(moves.points.tolist(), moves.feed.tolist(), moves.tool.tolist(), strict=True)
         for (x, y, z), feed, number in steps:
             if number != tool:
-                yield from self._call(number, program.facts.tools[number], first=tool == 0)
-                tool, said = number, _Said()
-                yield said.move(None, None, self.safe_height, 0.0)
-            yield said.move(x, y, z, feed)
+                yield from self._call(number, program.setup.tools[number], first=tool == 0)
+                tool, words = number, _ModalWords()
+                yield words.move(None, None, self.safe_height, 0.0)
+            yield words.move(x, y, z, feed)
 
     def _call(self, number: int, cutter: Cutter, first: bool) -> Iterator[str]:
         """Load a cutter and start the spindle."""
@@ -68,11 +80,11 @@ class Gcode(Milling):
         yield "G4 P2"
 
 
-class _Said:
+class _ModalWords:
     """Leaves out the words that are still in force."""
 
     def __init__(self) -> None:
-        self._said: dict[str, str] = {}
+        self._in_force: dict[str, str] = {}
 
     def move(self, x: float | None, y: float | None, z: float, feed: float) -> str:
         """The line for a straight move; 0 feed is rapid, None is where it was."""
@@ -80,27 +92,23 @@ class _Said:
         words |= {axis: f"{axis}{at + 0.0:.4f}" for axis, at in (("X", x), ("Y", y), ("Z", z)) if at is not None}
         if feed:
             words["F"] = f"F{feed:.5g}"
-        new = [word.replace("-0.0000", "0.0000") for letter, word in words.items() if self._said.get(letter) != word]
-        self._said |= words
+        in_force = self._in_force
+        new = [word.replace("-0.0000", "0.0000") for letter, word in words.items() if in_force.get(letter) != word]
+        self._in_force = in_force | words
         return " ".join(new)
 
 
 def _plain(text: str) -> str:
-    """What may stand in a comment."""
+    """The text as a comment may have it: comments cannot be nested."""
     return text.replace("(", "[").replace(")", "]")
 
 
-def gcode_comments(text: str) -> list[str]:
-    """Everything that stands in comments."""
-    return [match[1] for match in COMMENT.finditer(text)]
-
-
 def parse_gcode(text: str) -> Moves:
-    """The moves of a program. Raises InputError at whatever is not understood, naming the line."""
+    """The moves of a program. Raises InputError naming the first line that is not understood."""
     reader = _Reader()
     for number, line in enumerate(text.splitlines(), 1):
         try:
-            reader.read(COMMENT.sub("", line).replace(" ", "").upper())
+            reader.read(_COMMENT.sub("", line).replace(" ", "").upper())
         except ValueError as error:
             raise InputError(f"{error} in {line.strip()!r}", f"line {number}") from None
     return reader.moves()
@@ -116,10 +124,10 @@ class _Reader:
 
     def read(self, block: str) -> None:
         """One line without spaces and comments."""
-        words = WORD.findall(block)
+        words = _WORD.findall(block)
         if "".join(letter + value for letter, value in words) != block:
             raise ValueError("not a line of words")
-        parameter = not WITH_P.isdisjoint(words)
+        parameter = not _WITH_P.isdisjoint(words)
         moved = False
         for letter, value in words:
             if letter in self._at:
@@ -131,8 +139,8 @@ class _Reader:
             self._move()
 
     def _word(self, letter: str, value: float, parameter: bool) -> None:
-        if letter in ACCEPTED:
-            if value not in ACCEPTED[letter]:
+        if letter in _ACCEPTED:
+            if value not in _ACCEPTED[letter]:
                 raise ValueError(f"{letter}{value:g} is not understood")
             if letter == "G" and value in (0, 1):
                 self._rapid = value == 0
@@ -150,10 +158,10 @@ class _Reader:
         self._moves.append((self._at["X"], self._at["Y"], self._at["Z"], feed, self._tool))
 
     def moves(self) -> Moves:
-        """Everything that was read."""
+        """All moves that were read."""
         import numpy as np
 
-        from magiclens.milling.moves import Moves
+        from magiclens.milling.toolpath import Moves
 
         table = np.array(self._moves, float).reshape(-1, 5)
         return Moves(table[:, :3], table[:, 3], table[:, 4].astype(np.int64)).without_pauses()

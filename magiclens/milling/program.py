@@ -1,38 +1,38 @@
-"""A milling program: its moves, and what must be known to run it, as text that can be read back."""
+"""A milling program: its moves, and its setup, as text that can be read back."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from magiclens.contract.artifacts import FloatArray
 from magiclens.contract.errors import InputError
 from magiclens.milling.cutter import Cutter
-from magiclens.milling.moves import Moves
+from magiclens.milling.toolpath import Moves
 
-NUMBER = r"(-?[\d.]+|inf)"
-ZERO = re.compile(rf"zero: x = {NUMBER}, y = {NUMBER} of the lens, z = {NUMBER} above its bottom")
-CUTTER = re.compile(r"(roughing|finishing): cutter (\d+), (.+)")
-LEFT = re.compile(rf"stock left where the cutter reaches: at most {NUMBER} um")
+_NUMBER = r"(-?[\d.]+|inf)"
+_ZERO = re.compile(rf"zero: x = {_NUMBER}, y = {_NUMBER} of the lens, z = {_NUMBER} above its bottom")
+_CUTTER = re.compile(r"(roughing|finishing): cutter (\d+), (.+)")
+_LEFT = re.compile(rf"stock left where the cutter reaches: at most {_NUMBER} um")
 
 
 @dataclass(frozen=True)
-class Facts:
-    """What the moves alone do not tell.
+class MillingSetup:
+    """What must be known of a program besides its moves.
 
-    cutters: number and shape of each operation's cutter, in order. zero_mm: x, y, z of the program's origin in the
-    lens frame; z is the plate's top. left_mm: the most that finishing lines leave standing where the cutter's shape
-    lets it reach, inf if nothing is finished.
+    cutters: number and shape of each operation's cutter (``roughing``, ``finishing``), in the order of the operations.
+    zero_mm: x, y, z of the program's origin in the lens frame; z is the plate's top. left_mm: the most that finishing
+    lines leave standing where the cutter's shape lets it reach, inf if nothing is finished.
     """
 
     cutters: Mapping[str, tuple[int, Cutter]] = field(default_factory=dict)
     zero_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     left_mm: float = float("inf")
 
-    def lines(self) -> list[str]:
-        """As text, for people and for ``read``."""
+    def to_text(self) -> list[str]:
+        """Lines of text, for people and for ``from_text``."""
         x, y, z = (f"{value + 0.0:.12g}" for value in self.zero_mm)
         uses = [f"{name}: cutter {number}, {cutter}" for name, (number, cutter) in self.cutters.items()]
         left = f"stock left where the cutter reaches: at most {self.left_mm * 1000:.6g} um"
@@ -40,15 +40,19 @@ class Facts:
         return [zero, *uses, *([left] if "finishing" in self.cutters else [])]
 
     @classmethod
-    def read(cls, lines: Iterable[str]) -> Facts:
-        """From text that contains such lines among others. Raises InputError if it does not say where zero is."""
+    def from_text(cls, lines: Iterable[str]) -> MillingSetup:
+        """Read the setup from text that has the lines of ``to_text`` among others.
+
+        Raises:
+            InputError: the text does not say where zero is, or names no cutter.
+        """
         zero, cutters, left = None, {}, float("inf")
         for line in map(str.strip, lines):
-            if match := ZERO.fullmatch(line):
+            if match := _ZERO.fullmatch(line):
                 zero = float(match[1]), float(match[2]), float(match[3])
-            elif match := CUTTER.fullmatch(line):
+            elif match := _CUTTER.fullmatch(line):
                 cutters[match[1]] = int(match[2]), Cutter.parse(match[3])
-            elif match := LEFT.fullmatch(line):
+            elif match := _LEFT.fullmatch(line):
                 left = float(match[1]) / 1000
         if zero is None or not cutters:
             raise InputError("it is not said where zero is or what cuts; keep what the exporter has written")
@@ -61,14 +65,19 @@ class Facts:
 
 
 @dataclass(frozen=True)
-class Program:
-    """What a machine runs without a hand on it. Moves are in the program's own frame."""
+class MillingProgram:
+    """What a machine runs without a hand on it. Moves are in the program's own frame, see ``MillingSetup.zero_mm``."""
 
     moves: Moves
-    facts: Facts
+    setup: MillingSetup
 
     @cached_property
     def cuts(self) -> tuple[tuple[Cutter, FloatArray], ...]:
-        """Each cutter and its straight moves at feed speed (K, 6): from and to, mm, lens frame."""
-        moves = self.moves.shifted(self.facts.zero_mm)
-        return tuple((cutter, moves.lines(number)) for number, cutter in self.facts.tools.items())
+        """Each cutter and its straight moves at feed speed (K, 2, 3): from and to, mm, lens frame."""
+        moves = self.moves.shifted(self.setup.zero_mm)
+        return tuple((cutter, moves.cutting(number)) for number, cutter in self.setup.tools.items())
+
+    def with_cutters(self, cutters: Mapping[int, Cutter]) -> MillingProgram:
+        """The same moves with other cutters, by number; those that are not named stay."""
+        used = {name: (number, cutters.get(number, old)) for name, (number, old) in self.setup.cutters.items()}
+        return replace(self, setup=replace(self.setup, cutters=used))

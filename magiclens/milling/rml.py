@@ -1,4 +1,4 @@
-"""Milling programs in Roland's RML-1, as its engravers of the EGX class take it; and programs read back.
+"""Milling programs in Roland's RML-1 as its engravers of the EGX class take it, written and read back.
 
 The commands are those of Roland's "RML-1 Programing Guideline" (version 1.00, 2002): coordinates in 1/100 mm; ``PA``
 absolute coordinates; ``!MC1`` and ``!MC0`` spindle on and off; ``VS`` and ``!VZ`` speeds in mm per second, of the
@@ -14,46 +14,52 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, ClassVar
 
 from magiclens.contract.errors import InputError
-from magiclens.milling.exporter import Milling
+from magiclens.milling.line_milling import LineMilling
 
 if TYPE_CHECKING:
-    from magiclens.milling.moves import Moves
-    from magiclens.milling.program import Program
+    from magiclens.milling.program import MillingProgram, MillingSetup
+    from magiclens.milling.toolpath import Moves
 
-UNIT_MM = 0.01
-COMMAND = re.compile(r"(PA|PU|Z|VS|!VZ|!PZ|!MC)((?:-?\d+(?:\.\d+)?)?(?:,-?\d+(?:\.\d+)?)*)$")
-COUNT = {"PA": 0, "PU": 2, "Z": 3, "VS": 1, "!VZ": 1, "!PZ": 2, "!MC": 1}
-"""How many numbers each command takes, as far as ``parse_rml`` understands them."""
+_UNIT_MM = 0.01
+"""Unit of coordinates."""
+_COMMAND = re.compile(r"(PA|PU|Z|VS|!VZ|!PZ|!MC)((?:-?\d+(?:\.\d+)?)?(?:,-?\d+(?:\.\d+)?)*)$")
+_COUNT = {"PA": 0, "PU": 2, "Z": 3, "VS": 1, "!VZ": 1, "!PZ": 2, "!MC": 1}
+"""Number of arguments of each command that ``parse_rml`` understands."""
 
 
-class Rml(Milling):
-    __doc__ = f"""Roland RML-1, in steps of 0.01 mm, a file for each cutter. {Milling.__doc__}"""
+class Rml(LineMilling):
+    __doc__ = f"""Roland RML-1, in steps of 0.01 mm, a file for each cutter. {LineMilling.__doc__}"""
 
     type: ClassVar[str] = "rml"
     suffix: ClassVar[str] = ".rml"
-    step_mm: ClassVar[float] = UNIT_MM
+    step_mm: ClassVar[float] = _UNIT_MM
 
-    def write(self, program: Program, comments: list[str]) -> str:
+    def write(self, program: MillingProgram, comments: list[str]) -> str:
         """The program as text; RML-1 has no comments."""
         return "\n".join(["PA;PA;", *self._body(program), "!MC0;", ""])
 
-    def _body(self, program: Program) -> Iterator[str]:
+    def parse(self, text: str, setup: MillingSetup) -> Moves:
+        """The moves, all with the one cutter of the setup. Raises InputError, see ``parse_rml``."""
+        return parse_rml(text, min(setup.tools))
+
+    def _body(self, program: MillingProgram) -> Iterator[str]:
         moves, speed = program.moves, 0.0
         yield f"!PZ0,{_units(self.safe_height)};!MC1;"
         for (x, y, z), feed in zip(moves.points.tolist(), moves.feed.tolist(), strict=True):
             if feed and feed != speed:
                 speed = feed
                 yield f"VS{feed / 60:.4g};!VZ{feed / 60:.4g};"
-            place = f"{_units(x)},{_units(y)}"
-            yield f"Z{place},{_units(z)};" if feed else f"PU{place};"
+            across = f"{_units(x)},{_units(y)}"
+            yield f"Z{across},{_units(z)};" if feed else f"PU{across};"
 
 
 def _units(mm: float) -> int:
-    return round(mm / UNIT_MM)
+    """A coordinate in the language's units."""
+    return round(mm / _UNIT_MM)
 
 
 def parse_rml(text: str, tool: int = 1) -> Moves:
-    """The moves of a program of one cutter. Raises InputError at whatever is not understood, naming the line."""
+    """The moves of a program, with the cutter of this number. Raises InputError naming the first line that is wrong."""
     reader = _Reader()
     for number, line in enumerate(text.splitlines(), 1):
         for command in filter(None, line.replace(" ", "").split(";")):
@@ -75,20 +81,20 @@ class _Reader:
 
     def read(self, command: str) -> None:
         """One command without its terminator."""
-        match = COMMAND.match(command)
+        match = _COMMAND.match(command)
         if match is None:
             raise ValueError("not understood")
         name, numbers = match[1], [float(n) for n in match[2].split(",") if n]
-        if len(numbers) != COUNT[name]:
+        if len(numbers) != _COUNT[name]:
             raise ValueError(f"{len(numbers)} numbers")
         if name in self._speeds:
             self._speeds[name] = numbers[0] * 60
         elif name == "!PZ":
-            self._up = numbers[1] * UNIT_MM
+            self._up = numbers[1] * _UNIT_MM
         elif name == "PU":
-            self._travel(numbers[0] * UNIT_MM, numbers[1] * UNIT_MM)
+            self._travel(numbers[0] * _UNIT_MM, numbers[1] * _UNIT_MM)
         elif name == "Z":
-            self._cut((numbers[0] * UNIT_MM, numbers[1] * UNIT_MM, numbers[2] * UNIT_MM))
+            self._cut((numbers[0] * _UNIT_MM, numbers[1] * _UNIT_MM, numbers[2] * _UNIT_MM))
 
     def _travel(self, x: float, y: float) -> None:
         """Up first, then across."""
@@ -110,10 +116,10 @@ class _Reader:
         self._moves.append((*to, feed))
 
     def moves(self, tool: int) -> Moves:
-        """Everything that was read."""
+        """All moves that were read."""
         import numpy as np
 
-        from magiclens.milling.moves import Moves
+        from magiclens.milling.toolpath import Moves
 
         table = np.array(self._moves, float).reshape(-1, 4)
         return Moves(table[:, :3], table[:, 3], np.full(len(table), tool)).without_pauses()

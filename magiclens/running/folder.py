@@ -54,6 +54,19 @@ def atomic_file(path: Path) -> Iterator[Path]:
         os.replace(partial, path)
 
 
+@contextmanager
+def atomic_subfolder(path: Path) -> Iterator[Path]:
+    """Yield an empty folder to fill, which replaces ``path`` if the block succeeds and is deleted if it fails.
+
+    Unlike with ``atomic_folder``, whatever was at ``path`` is replaced: it is a folder in a run folder.
+    """
+    with tempfile.TemporaryDirectory(prefix=f".{path.name}-", dir=path.parent) as scratch:
+        partial = Path(scratch, path.name)
+        partial.mkdir()
+        yield partial
+        _move_into_place(partial, path)
+
+
 def save_heights(solid: Solid, lens: Lens, folder: Path) -> None:
     """Write the heights of a solid to the run folder, unless its finisher replaced the grid of its facets."""
     from magiclens.geometry.solid import heights_of

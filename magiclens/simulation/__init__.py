@@ -1,1 +1,1 @@
-"""The lens as a machine makes it, and what it shows then."""
+"""The lens as it is made - printed, milled, or cut by a milling program - and what it shows then."""

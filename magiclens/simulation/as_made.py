@@ -1,4 +1,4 @@
-"""The lens as a machine makes it, and what it shows then."""
+"""The lens as its machine makes it, compared with the lens as designed."""
 
 from __future__ import annotations
 
@@ -13,13 +13,17 @@ from magiclens.images import score, write_png
 from magiclens.profiles.machines import Machine, Mill, Printer
 from magiclens.rendering.mitsuba import Mitsuba
 from magiclens.rendering.tracer import Tracer
-from magiclens.simulation.milled import milled, seen_as_milled
-from magiclens.simulation.printed import printed
+from magiclens.simulation.as_milled import as_milled, seen_as_milled
+from magiclens.simulation.as_printed import as_printed
 
 
 @dataclass(frozen=True)
 class AsMade:
-    """Per view (R, R, C), linear light, what the lens shows as made; its mean PSNR, and that as designed minus that."""
+    """What the lens shows as made.
+
+    pictures: per view (R, R, C) float32, linear light, world frame. psnr_db: their mean PSNR against the targets.
+    loss_db: the mean PSNR of the lens as designed, minus ``psnr_db``.
+    """
 
     pictures: Sequence[FloatArray]
     psnr_db: float
@@ -29,8 +33,8 @@ class AsMade:
 def as_made(machine: Machine, scene: Scene, solid: Solid) -> AsMade | None:
     """Trace the lens as made, and compare it with the lens as designed; None if it is too large, or has no grid.
 
-    What the machine's limits cost the design is not in the loss: that lens was never designed. It is the loss of what
-    limits cannot prevent: stairs, spreading, corners that no cutter reaches, polishing.
+    The loss is what limits of the design cannot prevent: stairs, spreading, corners that no cutter reaches, polishing.
+    What those limits cost is not in it, since a lens without them was never designed.
     """
     if solid.grid is None:
         return None
@@ -38,7 +42,7 @@ def as_made(machine: Machine, scene: Scene, solid: Solid) -> AsMade | None:
         pictures = seen_as_milled(scene, solid, machine)
     else:
         assert isinstance(machine, Printer)
-        pictures = Tracer().render(scene, printed(solid, machine))
+        pictures = Tracer().render(scene, as_printed(solid, machine))
     if pictures is None:
         return None
     shown_db = _psnr_db(pictures, scene)
@@ -50,10 +54,10 @@ def rough_pictures(machine: Machine, scene: Scene, solid: Solid) -> list[FloatAr
     if solid.grid is None:
         return []
     if isinstance(machine, Mill):
-        made = milled(solid, machine)
+        made = as_milled(solid, machine)
     else:
         assert isinstance(machine, Printer)
-        made = printed(solid, machine)
+        made = as_printed(solid, machine)
     return [] if made is None else Mitsuba(roughness=machine.roughness).render(scene, made)
 
 

@@ -1,24 +1,30 @@
-"""What the maker must know, as text."""
+"""The setup sheet: what the person at the machine must know, as text."""
 
 from __future__ import annotations
 
 import math
 
 from magiclens.contract.units import LENGTH
-from magiclens.milling.cutter import scallop_mm
-from magiclens.milling.exporter import Milling
 from magiclens.milling.job import Job
-from magiclens.milling.program import Facts, Program
+from magiclens.milling.options import MillingOptions
+from magiclens.milling.program import MillingProgram, MillingSetup
+from magiclens.milling.scallop import scallop_mm
 
 
-def comments(job: Job, program: Program) -> list[str]:
-    """The most important lines, for the head of a program."""
-    return ["magiclens, unit: millimetre", f"plate {_plate(job)}", *program.facts.lines(), _way(program)]
+def head_comments(job: Job, program: MillingProgram) -> list[str]:
+    """The most important lines of the setup sheet, for the head of a program."""
+    return ["magiclens, unit: millimetre", f"plate {_plate(job)}", *program.setup.to_text(), _way(program)]
 
 
-def sheet(options: Milling, job: Job, names: list[str]) -> str:
-    """The whole instruction; ``program_facts`` reads from it what belongs to one program."""
-    tiles = len({program.facts.zero_mm for program in job.programs})
+def setup_sheet(options: MillingOptions, job: Job, names: list[str]) -> str:
+    """The whole setup sheet of a job; ``read_setup`` reads from it what belongs to one program.
+
+    Args:
+        options: of the exporter.
+        job: the programs.
+        names: the file of each program.
+    """
+    tiles = len({program.setup.zero_mm for program in job.programs})
     lines = [
         "How to mill this lens",
         "",
@@ -44,18 +50,18 @@ def sheet(options: Milling, job: Job, names: list[str]) -> str:
     return "\n".join([*lines, ""])
 
 
-def program_facts(sheet: str, name: str) -> Facts:
-    """What the sheet says about the program in file ``name``. Raises InputError if that is nothing."""
+def read_setup(sheet: str, name: str) -> MillingSetup:
+    """The setup of the program in file ``name``, as a setup sheet says. Raises InputError if it says nothing of it."""
     _, _, after = sheet.partition(f"\n\n{name}:\n")
-    return Facts.read(after.partition("\n\n")[0].splitlines())
+    return MillingSetup.from_text(after.partition("\n\n")[0].splitlines())
 
 
-def _program(name: str, program: Program) -> list[str]:
+def _program(name: str, program: MillingProgram) -> list[str]:
     points = program.moves.points
     (x0, y0, z0), (x1, y1, z1) = points.min(axis=0), points.max(axis=0)
     return [
         f"{name}:",
-        *(f"  {line}" for line in program.facts.lines()),
+        *(f"  {line}" for line in program.setup.to_text()),
         f"  x from {x0:.2f} to {x1:.2f}, y from {y0:.2f} to {y1:.2f}, z from {z0:.2f} to {z1:.2f}",
         f"  {len(points)} moves, {_way(program)}",
     ]
@@ -65,7 +71,7 @@ def _plate(job: Job) -> str:
     return "{:.2f} x {:.2f} x {:.2f} mm".format(*job.plate_mm)
 
 
-def _scallops(options: Milling, job: Job) -> list[str]:
+def _scallops(options: MillingOptions, job: Job) -> list[str]:
     outline = options.cutter.outline()
     flat, steep = (scallop_mm(outline, options.stepover, slope) * 1000 for slope in (0.0, job.slope))
     angle = math.degrees(math.atan(job.slope))
@@ -75,6 +81,6 @@ def _scallops(options: Milling, job: Job) -> list[str]:
     ]
 
 
-def _way(program: Program) -> str:
-    minutes = program.moves.minutes()
-    return f"{program.moves.length_mm() / 1000:.1f} m of cutting, about {minutes // 60:.0f} h {minutes % 60:.0f} min"
+def _way(program: MillingProgram) -> str:
+    minutes, way_mm = program.moves.minutes(), program.moves.cutting_length_mm()
+    return f"{way_mm / 1000:.1f} m of cutting, about {minutes // 60:.0f} h {minutes % 60:.0f} min"

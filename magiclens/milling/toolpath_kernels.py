@@ -1,4 +1,4 @@
-"""Kernels that turn heights sampled along a line into few straight segments that never pass below them."""
+"""Kernels that turn heights sampled along a line into few straight moves that never pass below them."""
 
 from __future__ import annotations
 
@@ -7,22 +7,27 @@ import math
 import numpy as np
 from numba import njit, prange
 
-UNEVEN = 3.0
-"""Samples are uneven where they bend down by more than so many times what the cutter's own roundness makes them."""
-NOISE_MM = 2e-4
+_UNEVEN = 3.0
+"""Samples count as a jump where they bend down by this many times more than the cutter's own roundness explains."""
+_NOISE_MM = 2e-4
+"""Bends below this come from rounding."""
 
 
 @njit(cache=True, parallel=True)
 def covering(z, bend):
-    """(rows, columns): heights whose connecting lines stay above the cutter's true path between the samples too.
+    """Raise heights beside jumps, so that straight lines between samples stay above the cutter's true path too.
 
     Between two samples the path bulges by no more than the cutter's roundness allows, unless it jumps. Where it
-    jumps (second differences below ``-UNEVEN * bend``), the lower side is raised to the upper one.
+    jumps (second differences below ``-_UNEVEN * bend``), the lower side is raised to the upper one.
+
+    Args:
+        z: (rows, columns) float64, tip heights sampled along each row, mm.
+        bend: second difference of the samples that the cutter's roundness explains, mm: spacing^2 / radius.
     """
     out = z.copy()
     for row in prange(z.shape[0]):
         for i in range(1, z.shape[1] - 1):
-            if z[row, i - 1] - 2.0 * z[row, i] + z[row, i + 1] < -UNEVEN * bend - NOISE_MM:
+            if z[row, i - 1] - 2.0 * z[row, i] + z[row, i + 1] < -_UNEVEN * bend - _NOISE_MM:
                 out[row, i - 1] = max(out[row, i - 1], z[row, i])
                 out[row, i + 1] = max(out[row, i + 1], z[row, i])
     return out
@@ -30,7 +35,7 @@ def covering(z, bend):
 
 @njit(cache=True, parallel=True)
 def thinned(z, every):
-    """(rows, 1 + (columns - 1) / every): every so many samples, raised until the lines between them cover the rest."""
+    """(rows, 1 + (columns - 1) / every): one in ``every`` samples, raised until lines between them cover the rest."""
     rows, columns = z.shape[0], (z.shape[1] - 1) // every + 1
     out = np.empty((rows, columns))
     for row in prange(rows):
@@ -48,9 +53,19 @@ def thinned(z, every):
 
 @njit(cache=True)
 def segments(z, dx, tolerance, step):
-    """(corner, count): samples at which a line through heights z turns, and its heights there in units of ``step``.
+    """Fit few segments over samples: z[k] <= line(k) <= z[k] + tolerance at every sample k.
 
-    Between its corners the line is never below the samples, nor more than ``tolerance`` above them.
+    Greedy: from each corner the range of slopes that keep the bounds narrows sample by sample; the last sample at which
+    a height on the machine's grid lies in that range becomes the next corner.
+
+    Args:
+        z: (samples,) float64, heights, mm.
+        dx: distance of samples, mm.
+        tolerance: most that the line may be above a sample, mm.
+        step: the machine's step, mm.
+
+    Returns:
+        (corners,) int64, samples at which the line turns, and (corners,) int64, its heights there in steps.
     """
     corner, count = np.empty(len(z), np.int64), np.empty(len(z), np.int64)
     corner[0], count[0], n = 0, _up(z[0], step), 1

@@ -20,11 +20,11 @@ PAPERS = {
     "a1": (594.0, 841.0),
     "a0": (841.0, 1189.0),
 }
-"""Width and height, mm."""
+"""Width and height of each paper, mm (ISO 216 and ANSI)."""
 Paper = Literal["auto", "a4", "letter", "a3", "tabloid", "a2", "a1", "a0"]
 
 
-class Sheet(Exporter):
+class PrintSheet(Exporter):
     """The sources as a PDF to print at their exact size, a page for each.
 
     A page has the outline of the lens's bottom and marks at its corners, the views at the side that the lens's top

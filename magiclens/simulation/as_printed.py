@@ -1,4 +1,4 @@
-"""What a printer makes of a solid: the stairs of its layers, material that spreads, polishing that evens out."""
+"""The lens as a printer makes it: the stairs of its layers, material that spreads, polishing that evens out."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from magiclens.contract.artifacts import FloatArray, Solid
 from magiclens.geometry.solid import solid_from_raster
 from magiclens.profiles.machines import Printer
 
-MOST_POINTS = 8_000_000
-"""Points of the printed surface; on large lenses pixels are joined to stay below."""
+_MOST_POINTS = 8_000_000
+"""Most points of the printed surface; on large lenses pixels are joined to stay below."""
 
 
-def printed(solid: Solid, printer: Printer) -> Solid:
-    """The slab that a printer makes, its top sampled at the printer's own pixels.
+def as_printed(solid: Solid, printer: Printer) -> Solid:
+    """The body that a printer makes of a solid, its top sampled at the printer's own pixels.
 
     A column of pixels gets as many layers as have their middle in the solid, as slicers do. Material then spreads
     sideways, and polishing or lacquer evens the surface out: Gaussians, which keep the volume. Undercuts fill with
-    support and are lost. The top's grid stands upright (``eye_mm`` is None) and holds the sides of the solid, too.
+    support and are lost. The grid's cells are vertical (``eye_mm`` is None), and the solid's sides are part of it.
     """
     from scipy.ndimage import gaussian_filter
 
@@ -28,6 +28,7 @@ def printed(solid: Solid, printer: Printer) -> Solid:
     x, y = (_middles(solid, axis, pixel) for axis, pixel in enumerate(_pixels(solid, printer)))
     z = np.nan_to_num(top_heights(solid, x, y[::-1]), nan=0.0).astype(np.float64)
     layers = np.maximum(np.rint(z / printer.layer), 1.0) * printer.layer
+    # two Gaussians in a row are one whose variance is the sum of theirs
     spread = math.hypot(printer.blur, printer.polish)
     sigmas = spread / (y[1] - y[0]), spread / (x[1] - x[0])
     even = gaussian_filter(layers, sigmas, mode="nearest") if spread > 0 else layers
@@ -38,7 +39,7 @@ def _pixels(solid: Solid, printer: Printer) -> tuple[float, float]:
     """Width and height of the samples: the printer's pixels, or as many of them joined as are needed."""
     width, height = np.ptp(solid.vertices[:, :2], axis=0)
     px, py = printer.pixels_mm
-    joined = math.ceil(math.sqrt(max(width / px * height / py / MOST_POINTS, 1.0)))
+    joined = math.ceil(math.sqrt(max(width / px * height / py / _MOST_POINTS, 1.0)))
     return px * joined, py * joined
 
 

@@ -1,0 +1,55 @@
+"""Kernels that write integers as decimal text."""
+
+from __future__ import annotations
+
+from numba import njit
+
+_MINUS, _POINT, _ZERO = 45, 46, 48
+"""ASCII codes."""
+
+
+@njit(cache=True)
+def write_rows(numbers, glue, ends, decimals, out):
+    """Write rows of numbers with text around them; returns how many characters were written.
+
+    Args:
+        numbers: (rows, K) int64, in units of the last decimal.
+        glue: uint8, the texts before, between and after the numbers of a row, one after the other.
+        ends: (K + 1,) where each of these texts ends in ``glue``.
+        decimals: digits after the point, at most; zeros at the end are left out.
+        out: uint8, the text, long enough.
+    """
+    at = 0
+    for row in range(len(numbers)):
+        start = 0
+        for column in range(numbers.shape[1] + 1):
+            for k in range(start, ends[column]):
+                out[at] = glue[k]
+                at += 1
+            start = ends[column]
+            if column < numbers.shape[1]:
+                at = _number(numbers[row, column], decimals, out, at)
+    return at
+
+
+@njit(cache=True)
+def _number(value, decimals, out, at):
+    """Write a number, its digits from the last to the first; returns where it ends."""
+    if value < 0:
+        out[at] = _MINUS
+        at, value = at + 1, -value
+    while decimals > 0 and value % 10 == 0:
+        value, decimals = value // 10, decimals - 1
+    length, rest = 1, value // 10
+    while rest > 0 or length <= decimals:
+        length, rest = length + 1, rest // 10
+    end = at + length + (1 if decimals > 0 else 0)
+    k = end
+    for digit in range(length):
+        if digit == decimals and decimals > 0:
+            k -= 1
+            out[k] = _POINT
+        k -= 1
+        out[k] = _ZERO + value % 10
+        value //= 10
+    return end
