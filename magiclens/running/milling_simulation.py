@@ -9,8 +9,9 @@ from pathlib import Path
 from magiclens.contract.errors import InputError
 from magiclens.milling.exporter import MillingExporter
 from magiclens.milling.program import MillingProgram
+from magiclens.plan.blame import blaming
 from magiclens.plan.compile import Plan
-from magiclens.plan.registry import Registry, blaming
+from magiclens.plan.registry import Registry
 from magiclens.running.folder import atomic_subfolder
 from magiclens.running.manifest import refresh_manifest
 from magiclens.running.open_run import OpenRun, open_run
