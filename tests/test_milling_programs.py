@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import hashlib
 import json
 import re
 import shutil
@@ -24,6 +26,7 @@ from magiclens.milling.job import milling_job
 from magiclens.milling.line_milling import LineMilling
 from magiclens.milling.rml import Rml, parse_rml
 from magiclens.plan.compile import load_plan
+from magiclens.running.milling_simulation import simulate_milling
 from magiclens.running.pipeline import Run, run_spec
 from magiclens.simulation.machining import faults, run_programs
 from milled import BALL, FLAT, POINTED, V, cutter, machined, programs_of, waves
@@ -311,6 +314,37 @@ def test_a_run_folders_programs_are_run_and_their_lens_is_looked_through(run: Ru
     pictures = {name: read_image(run.folder / "machined" / f"{name}.png") for name in ("single", "single-polished")}
     assert {picture.shape for picture in pictures.values()} == {(512, 512, 1)}
     assert np.abs(pictures["single"] - pictures["single-polished"]).mean() > 0.01
+
+
+def test_pictures_of_the_machined_lens_are_listed_in_the_manifest(run: Run, tmp_path: Path) -> None:
+    folder = shutil.copytree(run.folder, tmp_path / "copy", ignore=shutil.ignore_patterns("machined"))
+    simulate_milling(folder)
+    listed = {file["path"]: file["sha256"] for file in json.loads((folder / "manifest.json").read_text())["artifacts"]}
+    for name in ("machined/single.png", "machined/single-polished.png"):
+        assert listed[name] == hashlib.sha256((folder / name).read_bytes()).hexdigest()
+    assert set(listed) == {str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()} - {"manifest.json"}
+
+
+def test_pictures_of_the_machined_lens_appear_together_or_not_at_all(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = shutil.copytree(run.folder, tmp_path / "copy", ignore=shutil.ignore_patterns("machined"))
+    (folder / "machined").mkdir()
+    (folder / "machined" / "old.png").write_bytes(b"of an earlier simulation")
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+    def full_disk(path: Path, *_: Any) -> None:
+        if "polished" in path.name:
+            raise OSError(errno.ENOSPC, "No space left on device", str(path))
+        path.write_bytes(b"half of the pictures")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("magiclens.images.files.write_png", full_disk)
+        with pytest.raises(OSError, match="No space left"):
+            simulate_milling(folder)
+    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
+    simulate_milling(folder)
+    assert sorted(path.name for path in (folder / "machined").iterdir()) == ["single-polished.png", "single.png"]
 
 
 def test_a_folder_without_programs_says_what_to_do(run: Run, tmp_path: Path) -> None:

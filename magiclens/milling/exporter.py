@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from abc import abstractmethod
 from itertools import count, takewhile
 from pathlib import Path
@@ -35,3 +36,8 @@ class MillingExporter(Exporter):
 def numbered(path: Path, number: int) -> Path:
     """Where the second, third, ... program of an export is: ``lens-2.ngc`` beside ``lens.ngc``."""
     return path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")
+
+
+def first_of(path: Path) -> Path:
+    """Where the first program of the same export is: the inverse of ``numbered``."""
+    return path.with_name(re.sub(r"-\d+$", "", path.stem) + path.suffix)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from magiclens.contract.artifacts import Scene, Solid
 from magiclens.contract.errors import InputError
-from magiclens.milling.exporter import numbered
+from magiclens.milling.exporter import first_of, numbered
 from magiclens.milling.options import MillingOptions
 
 if TYPE_CHECKING:
@@ -74,8 +74,7 @@ class LineMilling(MillingOptions):
         """The setup of the program with this text: what the setup sheet says, unless the language has comments."""
         from magiclens.milling.setup_sheet import read_setup
 
-        first = path.with_name(f"{path.stem.partition('-')[0]}{path.suffix}")
-        return read_setup(_sheet_of(first).read_text(encoding="utf-8"), path.name)
+        return read_setup(_sheet_of(first_of(path)).read_text(encoding="utf-8"), path.name)
 
 
 def _sheet_of(path: Path) -> Path:
