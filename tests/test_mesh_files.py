@@ -8,27 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from magiclens.contract.artifacts import FloatArray, HeightField, Lens, Scene, Solid
+from fabricated import bumpy, written
+from magiclens.contract.artifacts import FloatArray, Solid
 from magiclens.contract.stages import Exporter
 from magiclens.exporting.mesh_files import Obj, Ply, Stl
-from magiclens.geometry.solid import solid_from_heights
 
-LENS = Lens(size_mm=10.0, facets=3, microfacets=4, thickness_mm=8.0, wall_mm=0.002)
 EXPORTERS = [Stl(), Ply(), Obj()]
 every_format = pytest.mark.parametrize("exporter", EXPORTERS, ids=[e.type for e in EXPORTERS])
-
-
-def solid() -> Solid:
-    """A slab with a bumpy top, its facets cut along the rays from an eye."""
-    heights = np.random.default_rng(5).uniform(-0.5, 0.5, (3, 3, 5, 5))
-    return solid_from_heights(HeightField(LENS, heights, np.array([0.0, 0.0, 108.0])))
-
-
-def written(exporter: Exporter, folder: Path, mesh: Solid) -> Path:
-    """The file that an exporter writes."""
-    path = folder / f"lens{exporter.suffix}"
-    exporter.export(Scene(LENS, ()), mesh, path)
-    return path
 
 
 def corners_read(path: Path) -> FloatArray:
@@ -42,20 +28,20 @@ def corners_read(path: Path) -> FloatArray:
 
 @every_format
 def test_file_holds_every_triangle_in_its_place_and_order(exporter: Exporter, tmp_path: Path) -> None:
-    mesh = solid()
+    mesh = bumpy()
     expected = mesh.vertices[mesh.faces]
     assert np.abs(corners_read(written(exporter, tmp_path, mesh)) - expected).max() < 5e-7
 
 
 @pytest.mark.parametrize("exporter", [Stl(), Ply()], ids=["stl", "ply"])
 def test_binary_files_hold_vertices_rounded_to_float32_and_nothing_else(exporter: Exporter, tmp_path: Path) -> None:
-    mesh = solid()
+    mesh = bumpy()
     expected = mesh.vertices.astype(np.float32)[mesh.faces]
     assert np.array_equal(corners_read(written(exporter, tmp_path, mesh)), expected)
 
 
 def test_obj_holds_what_float32_would_round(tmp_path: Path) -> None:
-    mesh = solid()
+    mesh = bumpy()
     assert np.abs(corners_read(written(Obj(), tmp_path, mesh)) - mesh.vertices[mesh.faces]).max() < 1e-9
 
 
@@ -63,7 +49,7 @@ def test_obj_holds_what_float32_would_round(tmp_path: Path) -> None:
 def test_vertices_that_faces_share_are_written_once(exporter: Exporter, tmp_path: Path) -> None:
     import trimesh
 
-    mesh = solid()
+    mesh = bumpy()
     read = trimesh.load_mesh(written(exporter, tmp_path, mesh), process=False)
     assert len(read.vertices) == len(mesh.vertices)
     assert np.array_equal(read.faces, mesh.faces)
@@ -71,7 +57,7 @@ def test_vertices_that_faces_share_are_written_once(exporter: Exporter, tmp_path
 
 @every_format
 def test_vertices_in_one_place_are_not_merged(exporter: Exporter, tmp_path: Path) -> None:
-    mesh = solid()
+    mesh = bumpy()
     collapsed = mesh.vertices.copy()
     collapsed[1] = collapsed[0]
     corners = corners_read(written(exporter, tmp_path, Solid(collapsed, mesh.faces)))
@@ -80,13 +66,11 @@ def test_vertices_in_one_place_are_not_merged(exporter: Exporter, tmp_path: Path
 
 @every_format
 def test_equal_solids_give_equal_bytes_and_others_do_not(exporter: Exporter, tmp_path: Path) -> None:
-    moved = solid().vertices.copy()
+    moved = bumpy().vertices.copy()
     moved[0, 2] += 1e-4
-    for name in ("one", "same", "other"):
-        (tmp_path / name).mkdir()
     paths = [
         written(exporter, tmp_path / name, mesh)
-        for name, mesh in (("one", solid()), ("same", solid()), ("other", Solid(moved, solid().faces)))
+        for name, mesh in (("one", bumpy()), ("same", bumpy()), ("other", Solid(moved, bumpy().faces)))
     ]
     one, same, other = (hashlib.sha256(p.read_bytes()).hexdigest() for p in paths)
     assert one == same
@@ -97,7 +81,7 @@ def test_equal_solids_give_equal_bytes_and_others_do_not(exporter: Exporter, tmp
 def test_other_programs_read_the_same_volume(exporter: Exporter, tmp_path: Path) -> None:
     import pymeshlab
 
-    mesh = solid()
+    mesh = bumpy()
     meshes = pymeshlab.MeshSet()
     meshes.load_new_mesh(str(written(exporter, tmp_path, mesh)))
     meshes.meshing_remove_duplicate_vertices()
@@ -106,7 +90,7 @@ def test_other_programs_read_the_same_volume(exporter: Exporter, tmp_path: Path)
 
 
 def test_stl_is_binary_with_a_pinned_header_and_outward_normals(tmp_path: Path) -> None:
-    mesh = solid()
+    mesh = bumpy()
     data = written(Stl(), tmp_path, mesh).read_bytes()
     assert data[:80].rstrip() == b"magiclens, binary STL, unit: millimetre"
     assert not data.startswith(b"solid")
@@ -119,7 +103,7 @@ def test_stl_is_binary_with_a_pinned_header_and_outward_normals(tmp_path: Path) 
 
 
 def test_ply_is_binary_and_has_no_normals(tmp_path: Path) -> None:
-    mesh = solid()
+    mesh = bumpy()
     head, body = written(Ply(), tmp_path, mesh).read_bytes().split(b"end_header\n")
     assert b"format binary_little_endian" in head
     assert len(body) == 12 * len(mesh.vertices) + 13 * len(mesh.faces)

@@ -1,1 +1,1 @@
-"""What lenses are made of and what makes them: materials and machines as data files, and the models that check them."""
+"""Machines and materials: data files, and the models that check them."""

@@ -1,4 +1,4 @@
-"""Reads the package's data files."""
+"""The data files of machines and materials."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 
 def read_data(name: str) -> dict[str, Any]:
-    """The mapping in a YAML file of this package."""
+    """Read the mapping in a YAML file of this folder."""
     from ruamel.yaml import YAML
 
     found: dict[str, Any] = YAML(typ="safe").load((files("magiclens.profiles") / name).read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""Machines: what they can make, and what a lens for them looks like while nobody says otherwise."""
+"""Machines: what they can make, and what suits a lens for them unless a spec says otherwise."""
 
 from __future__ import annotations
 
@@ -14,11 +14,15 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 from magiclens.contract.units import ANGLE, LENGTH, Angle, Length
 from magiclens.profiles.data import read_data
 
-SPEED = r"^\d+(\.\d+)? ?mm/(min|s)$"
+_SPEED = r"^\d+(\.\d+)? ?mm/(min|s)$"
+"""Pattern of the text of a speed."""
 
 
 class Machine(BaseModel, ABC):
-    """What a machine can do. The fields are the keys that a spec may write beside ``fabrication.machine``."""
+    """What a machine can do. The fields are the keys that a spec may write beside ``fabrication.machine``.
+
+    Lengths are mm and angles degrees. ``process`` names the process in data files: printing or milling.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
     process: ClassVar[str]
@@ -41,16 +45,16 @@ class Machine(BaseModel, ABC):
 
     @property
     def limits(self) -> dict[str, str]:
-        """Keys under ``lens`` that stand at the machine's limit while the spec does not write them."""
+        """Keys under ``lens`` that are set to the machine's limit unless the spec writes them, as text with units."""
         return {"wall": LENGTH.text(self.wall), "max_slope": ANGLE.text(self.max_slope)}
 
     @abstractmethod
     def exporters(self) -> dict[str, dict[str, Any]]:
-        """Options that suit this machine, by type of exporter."""
+        """Options that suit this machine, as a spec writes them, by type of exporter."""
 
 
 class Printer(Machine):
-    """Builds layer on layer."""
+    """A machine that builds layer on layer."""
 
     process: ClassVar[str] = "printing"
 
@@ -75,12 +79,12 @@ class Printer(Machine):
         return 25.4 / self.dpi[0], 25.4 / self.dpi[1]
 
     def exporters(self) -> dict[str, dict[str, Any]]:
-        """Slices at the machine's own resolution."""
+        """Options for slices at the machine's own resolution."""
         return {"slices": {"dpi_x": self.dpi[0], "dpi_y": self.dpi[1], "layer": LENGTH.text(self.layer)}}
 
 
 class Mill(Machine):
-    """Cuts with a rotating tool that comes from above."""
+    """A machine with three axes that cuts with a rotating tool from above."""
 
     process: ClassVar[str] = "milling"
 
@@ -97,12 +101,13 @@ class Mill(Machine):
         description="between the lines of finishing; polishing their ridges away evens out over half of it",
     )  # fmt: skip
     spindle: int = Field(12000, ge=1, description="turns per minute")
-    feed: str = Field("1200mm/min", pattern=SPEED, description="while cutting")
-    plunge: str = Field("300mm/min", pattern=SPEED, description="straight down")
+    feed: str = Field("1200mm/min", pattern=_SPEED, description="while cutting")
+    plunge: str = Field("300mm/min", pattern=_SPEED, description="straight down")
 
     @property
     def limits(self) -> dict[str, str]:
-        """As of every machine; the flank of the cutter and its reach count, too."""
+        """Those of every machine, and what the flank of the cutter and its reach allow."""
+        # the top may be twice the relief deep; a hundredth is left so that rounding does not reach the limit
         steepest = ANGLE.text(min(self.max_slope, self.steepest_deg))
         return {**super().limits, "max_slope": steepest, "relief": LENGTH.text(min(0.495 * self.reach, 9.9))}
 
@@ -112,12 +117,13 @@ class Mill(Machine):
         return 90.0 - (self.angle / 2 if self.cutter == "v" else self.draft)
 
     def step_mm(self, wall_mm: float) -> float:
-        """The highest step that a wall of this width takes up with the draft that the machine needs."""
+        """The highest step, mm, that a wall of this width can take up with the draft that the machine needs."""
+        # a draft of 0 would allow any step; a tenth of a degree keeps the number finite
         return wall_mm / math.tan(math.radians(max(self.draft, 0.1)))
 
     @property
     def polish_mm(self) -> float:
-        """Sigma of the Gaussian that polishing amounts to: it leaves less than 1 % of the ridges between lines."""
+        """Sigma, mm, of the Gaussian that stands for polishing: it leaves less than 1 % of the ridges between lines."""
         return self.stepover / 2
 
     @property
@@ -129,7 +135,7 @@ class Mill(Machine):
         }  # fmt: skip
 
     def exporters(self) -> dict[str, dict[str, Any]]:
-        """The cutter, its speeds and the machine's travel, for programs."""
+        """Options for programs: the cutter, its speeds and the machine's travel."""
         options = {
             "cutter": self.tool,
             "stepover": LENGTH.text(self.stepover),
@@ -142,10 +148,15 @@ class Mill(Machine):
 
 
 PROCESSES: Mapping[str, type[Machine]] = MappingProxyType({cls.process: cls for cls in (Printer, Mill)})
+"""The class of machines of each process."""
 
 
 class Profile(BaseModel):
-    """One entry of ``machines.yaml``: ``options`` are those of its process, ``lens`` and ``stages`` keys of a spec."""
+    """One entry of ``machines.yaml``.
+
+    ``options`` are the fields of the machine; ``lens`` and ``stages`` are what a spec may write under ``lens`` and
+    ``pipeline``.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -158,11 +169,11 @@ class Profile(BaseModel):
 
     @property
     def model(self) -> type[Machine]:
-        """The class of machines with this process."""
+        """The class of this machine."""
         return PROCESSES[self.process]
 
     def machine(self) -> Machine:
-        """The machine as it is listed."""
+        """The machine with the options of the data file."""
         return self.model.model_validate(self.options)
 
 

@@ -1,4 +1,4 @@
-"""Materials: what light and the bill need to know of them."""
+"""Materials: their index of refraction, for the design, and density and price, for estimates of cost."""
 
 from __future__ import annotations
 

@@ -11,8 +11,8 @@ from magiclens import FloatArray
 from mlens_step.part21 import DERIVED, NO, UNSPECIFIED, YES, Part21, Ref
 from mlens_step.splines import degree, knots
 
-PICOMETRE = 9
-"""Decimals of a millimetre."""
+_PICOMETRE = 9
+"""Decimals of a millimetre that coordinates have."""
 
 Loop = Sequence[tuple[Ref, bool]]
 """Edges around a face, counter-clockwise seen from outside, each with whether it is run along or against."""
@@ -20,7 +20,7 @@ Loop = Sequence[tuple[Ref, bool]]
 
 @dataclass(frozen=True)
 class Corner:
-    """A vertex: where it is, mm, its point and itself."""
+    """A vertex: where it is, (3,) mm, and the numbers of its point and of the vertex itself."""
 
     at: FloatArray
     point: Ref
@@ -29,7 +29,7 @@ class Corner:
 
 def points(file: Part21, grid: FloatArray) -> list[list[Ref]]:
     """Cartesian points of a grid (R, C, 3), row by row."""
-    rounded = (np.round(grid, PICOMETRE) + 0.0).tolist()
+    rounded = (np.round(grid, _PICOMETRE) + 0.0).tolist()
     return [[file.add("CARTESIAN_POINT", "", xyz) for xyz in row] for row in rounded]
 
 

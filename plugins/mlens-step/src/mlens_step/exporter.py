@@ -35,10 +35,10 @@ class Step(Exporter):
 
     def export(self, scene: Scene, solid: Solid, path: Path) -> None:
         """Write the file. Raises InputError if the solid is not of the kind that ``surface`` needs."""
+        from mlens_step.body import lens_body
         from mlens_step.part21 import Part21
         from mlens_step.product import add_product
-        from mlens_step.shell import add_slab
-        from mlens_step.slab import slab_of
+        from mlens_step.shell import add_lens
         from mlens_step.splines import smooth_net, um
         from mlens_step.triangles import add_triangles, check_triangles
 
@@ -48,12 +48,12 @@ class Step(Exporter):
             check_triangles(solid)
             how = "the mesh's triangles"
         else:
-            slab = slab_of(lens, solid)
+            body = lens_body(lens, solid)
             departure_mm = self.departure.mm(lens.pitch_mm / lens.microfacets)
-            net = smooth_net(slab.top, lens.facets, slab.rim, self.tolerance, departure_mm)
+            net = smooth_net(body.top, lens.facets, body.rim, self.tolerance, departure_mm)
             how = f"facets within {um(net.miss_mm)} of the mesh's vertices, {um(net.departure_mm)} of its micro-facets"
         with path.open("w", encoding="ascii", newline="\n") as text:
             file = Part21(text, path.name, f"{name}; {how}")
-            body = add_triangles(file, solid) if self.surface == "triangles" else add_slab(file, slab, net)
-            add_product(file, body, "lens", name)
+            shape = add_triangles(file, solid) if self.surface == "triangles" else add_lens(file, body, net)
+            add_product(file, shape, "lens", name)
             file.close()

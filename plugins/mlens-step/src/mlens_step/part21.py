@@ -6,10 +6,10 @@ from collections.abc import Iterable
 from typing import TextIO, TypeAlias
 
 Parameter: TypeAlias = "Ref | Word | Derived | str | float | Iterable[Parameter] | None"
-WHEN = "1980-01-01T00:00:00"
-"""The header needs a time; always the same one, so that equal lenses give equal bytes."""
-SCHEMA = "AUTOMOTIVE_DESIGN { 1 0 10303 214 1 1 1 1 }"
-"""AP214: what every CAD program reads."""
+_WHEN = "1980-01-01T00:00:00"
+"""Time in the header, which must have one: always the same, so that equal lenses give equal bytes."""
+_SCHEMA = "AUTOMOTIVE_DESIGN { 1 0 10303 214 1 1 1 1 }"
+"""Application protocol 214, which every CAD program reads."""
 
 
 class Ref(int):
@@ -21,7 +21,7 @@ class Word(str):
 
 
 class Derived:
-    """Stands for what follows from other parameters."""
+    """A parameter whose value follows from others."""
 
 
 YES, NO, UNSPECIFIED, DERIVED = Word("T"), Word("F"), Word("UNSPECIFIED"), Derived()
@@ -35,8 +35,8 @@ class Part21:
         by = encode(("magiclens",))
         file.write("ISO-10303-21;\nHEADER;\n")
         file.write(f"FILE_DESCRIPTION({encode((description,))},'2;1');\n")
-        file.write(f"FILE_NAME({encode(name)},'{WHEN}',{by},{by},'mlens-step','magiclens','');\n")
-        file.write(f"FILE_SCHEMA({encode((SCHEMA,))});\nENDSEC;\nDATA;\n")
+        file.write(f"FILE_NAME({encode(name)},'{_WHEN}',{by},{by},'mlens-step','magiclens','');\n")
+        file.write(f"FILE_SCHEMA({encode((_SCHEMA,))});\nENDSEC;\nDATA;\n")
 
     def add(self, entity: str, *parameters: Parameter) -> Ref:
         """Write a simple entity."""

@@ -1,11 +1,11 @@
-"""What surrounds a solid in a STEP file: the product it is the shape of, and units."""
+"""The product that a solid is the shape of, and its units (ISO 10303-41, AP214)."""
 
 from __future__ import annotations
 
 from mlens_step.part21 import Part21, Ref
 
-ACCURACY_MM = 1e-6
-"""Points that are closer than this are one; far below a wall's width."""
+_ACCURACY_MM = 1e-6
+"""Distance below which points count as one: far below the width of a wall."""
 
 
 def add_product(file: Part21, solid: Ref, name: str, description: str) -> None:
@@ -33,7 +33,7 @@ def _units(file: Part21) -> Ref:
     angle = file.add_complex("(NAMED_UNIT(*)PLANE_ANGLE_UNIT()SI_UNIT($,.RADIAN.))")
     solid_angle = file.add_complex("(NAMED_UNIT(*)SI_UNIT($,.STERADIAN.)SOLID_ANGLE_UNIT())")
     accuracy = file.add_complex(
-        f"UNCERTAINTY_MEASURE_WITH_UNIT(LENGTH_MEASURE({ACCURACY_MM:.1E}),#{length:d},'distance_accuracy_value','')"
+        f"UNCERTAINTY_MEASURE_WITH_UNIT(LENGTH_MEASURE({_ACCURACY_MM:.1E}),#{length:d},'distance_accuracy_value','')"
     )
     return file.add_complex(
         f"(GEOMETRIC_REPRESENTATION_CONTEXT(3)GLOBAL_UNCERTAINTY_ASSIGNED_CONTEXT((#{accuracy:d}))"

@@ -17,11 +17,13 @@ from scipy.interpolate import BSpline, make_interp_spline
 
 from magiclens import FloatArray, InputError
 
-CUBIC = 3
-MOST_FITTED = 2 / 3
+_CUBIC = 3
+"""Degree of the splines."""
+_MOST_FITTED = 2 / 3
 """Spans between control points that are fitted, per micro-facet: with nearly as many, unevenness of the vertices would
 come out up to 80 times as large between them."""
-MICROMETRE = 1e-3
+_MICROMETRE = 1e-3
+"""In mm."""
 
 
 @dataclass(frozen=True)
@@ -41,14 +43,14 @@ class Net:
 
 def um(mm: float) -> str:
     """A length as a spec writes it, in micrometres, rounded up to two digits and to a nanometre."""
-    length = max(mm / MICROMETRE, MICROMETRE)
+    length = max(mm / _MICROMETRE, _MICROMETRE)
     step = 10.0 ** (np.floor(np.log10(length)) - 1)
     return f"{np.ceil(length / step) * step:.6g}um"
 
 
 def degree(width: int) -> int:
     """The degree of a patch of ``width + 1`` control points: cubic, if they suffice."""
-    return min(CUBIC, width)
+    return min(_CUBIC, width)
 
 
 def knots(width: int) -> FloatArray:
@@ -106,7 +108,7 @@ def _check(departures: FloatArray, departure_mm: float) -> None:
 def _widths(m: int) -> list[int]:
     """How many control points but one may stand for m + 1 vertices: few fitted ones, or a spline's through them all."""
     fewest = degree(m)
-    return [*range(fewest, max(fewest, int(MOST_FITTED * m)) + 1), m + CUBIC - 1]
+    return [*range(fewest, max(fewest, int(_MOST_FITTED * m)) + 1), m + _CUBIC - 1]
 
 
 def _fit(m: int, width: int) -> FloatArray:
@@ -123,12 +125,12 @@ def _fit(m: int, width: int) -> FloatArray:
 
 def _interpolation(m: int) -> FloatArray:
     """(m + 3, m + 1): from equidistant points to the natural cubic through them, with a knot at each."""
-    controls: FloatArray = make_interp_spline(np.arange(m + 1.0), np.eye(m + 1), CUBIC, bc_type="natural").c
+    controls: FloatArray = make_interp_spline(np.arange(m + 1.0), np.eye(m + 1), _CUBIC, bc_type="natural").c
     return controls
 
 
 def _values(width: int, where: FloatArray) -> FloatArray:
-    """(P, width + 1): from control points to points of the curve, at places from 0 to 1."""
+    """(P, width + 1): from control points to points of the curve, at parameters from 0 to 1."""
     t = knots(width)
     values: FloatArray = BSpline.design_matrix(where * t[-1], t, degree(width)).toarray()
     return values

@@ -8,15 +8,15 @@ from magiclens import FloatArray, InputError, Solid, StageError
 from mlens_step import brep
 from mlens_step.part21 import Part21, Ref
 
-MOST = 50_000
-"""Triangles; as faces, more are beyond what CAD programs handle."""
+_MOST = 50_000
+"""Most triangles; as faces, more are beyond what CAD programs handle."""
 
 
 def check_triangles(solid: Solid) -> None:
     """Raises InputError if there are too many, StageError if they do not enclose a solid."""
-    if len(solid.faces) > MOST:
+    if len(solid.faces) > _MOST:
         raise InputError(
-            f"{len(solid.faces)} triangles, at most {MOST} are possible as faces; use 'surface: splines', "
+            f"{len(solid.faces)} triangles, at most {_MOST} are possible as faces; use 'surface: splines', "
             "or fewer lens.facets or lens.microfacets",
             "exporter step: surface",
         )
@@ -47,6 +47,6 @@ def add_triangles(file: Part21, solid: Solid) -> Ref:
 
 
 def _normals(solid: Solid) -> FloatArray:
-    """(F, 3) outward, as long as twice the area."""
+    """(F, 3) outward normals, as long as twice the area."""
     a, b, c = (solid.vertices[solid.faces[:, k]] for k in range(3))
     return np.cross(b - a, c - a)

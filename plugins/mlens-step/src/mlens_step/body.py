@@ -1,4 +1,4 @@
-"""What a STEP file needs to know of a solid: its top's grid, and the flat floor below each line of it."""
+"""The body of a lens as splines need it: the grid of its top, and the flat floor below each line of the grid."""
 
 from __future__ import annotations
 
@@ -8,17 +8,18 @@ import numpy as np
 
 from magiclens import FloatArray, InputError, IntArray, Lens, Solid
 
-THIN_MM = 1e-3
-"""A rim narrower than this is left out: no maker would see it."""
+_THIN_MM = 1e-3
+"""A rim narrower than this is left out: nobody would see it on the finished part."""
 FLAT_MM = 1e-6
+"""Points that are less than this beside a plane are on it."""
 
 
 @dataclass(frozen=True)
-class Slab:
-    """A solid between a grid on top and a rectangular floor.
+class LensBody:
+    """A solid between a grid on top and a rectangular floor, lens frame, mm.
 
-    top: (G, G, 3) mm, rows from +y down. rim: 1 if the outermost lines lie beyond the facets, 0 if they are theirs.
-    floor_x, floor_y: (G,) mm: below each column's and each row's end. floor_z: mm.
+    top: (G, G, 3) float64, rows from +y down. rim: 1 if the outermost lines lie beyond the facets, else 0.
+    floor_x, floor_y: (G,) x of the floor below each column, and y below each row. floor_z: height of the floor.
     """
 
     top: FloatArray
@@ -28,26 +29,26 @@ class Slab:
     floor_z: float
 
 
-def slab_of(lens: Lens, solid: Solid) -> Slab:
-    """The slab that a solid is. Raises InputError if its grid is not its lens's, or if it has no rectangular floor."""
+def lens_body(lens: Lens, solid: Solid) -> LensBody:
+    """The body of a solid. Raises InputError if its grid is not that of the lens, or if it has no rectangular floor."""
     g = lens.facets * (lens.microfacets + 1) + 2
     if solid.grid != (g, g):
-        raise _no_slab("the finisher's mesh has lost the facets' grid")
+        raise _unfit("the finisher's mesh has lost the facets' grid")
     floor = _floor(solid, g)
     if floor is None:
-        raise _no_slab("the finisher's mesh does not stand on a flat rectangle")
+        raise _unfit("the finisher's mesh does not stand on a flat rectangle")
     top = solid.vertices[: g * g].reshape(g, g, 3)
-    rim = int(lens.bleed_mm + lens.wall_mm / 2 >= THIN_MM)
+    rim = int(lens.bleed_mm + lens.wall_mm / 2 >= _THIN_MM)
     kept = slice(1 - rim, g - 1 + rim)
-    return Slab(top[kept, kept], rim, floor[0, kept, 0], floor[kept, 0, 1], float(floor[0, 0, 2]))
+    return LensBody(top[kept, kept], rim, floor[0, kept, 0], floor[kept, 0, 1], float(floor[0, 0, 2]))
 
 
-def _no_slab(why: str) -> InputError:
+def _unfit(why: str) -> InputError:
     return InputError(f"splines need facets, and {why}; the nearest is 'surface: triangles'", "exporter step: surface")
 
 
 def _floor(solid: Solid, g: int) -> FloatArray | None:
-    """(g, g, 3) whose border lies below the top's: the ring of vertices after the grid's. None if there is none.
+    """(g, g, 3) whose border lies below the top's: the ring of vertices after those of the grid. None if there is none.
 
     Below its top, the mesh must be two triangles per border edge, and a flat fan inside the ring.
     """
