@@ -21,11 +21,11 @@ from magiclens import (
     Scene,
     Solid,
     StageError,
+    builtin,
     load_plan,
     run_plan,
 )
 from magiclens.milling.exporter import first_of, numbered
-from magiclens.plan import builtin
 from magiclens.plan.registry import Plugin, Registry
 from magiclens.running.milling_simulation import simulate_milling
 from toys import TOY_PLUGIN, plugin_of
