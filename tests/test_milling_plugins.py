@@ -57,7 +57,7 @@ class Planer(MillingExporter):
     suffix: ClassVar[str] = ".npy"
 
     depth: Length = "1mm"
-    cutter: ClassVar[Cutter] = Cutter(shape="flat", diameter=2.0)
+    cutter: ClassVar[Cutter] = Cutter.model_validate({"shape": "flat", "diameter": "2mm"})
 
     def export(self, scene: Scene, solid: Solid, path: Path) -> None:
         top = solid.vertices[:, 2].max() + self.depth
@@ -95,6 +95,7 @@ pipeline:
   matcher: {scales: [1.0], candidates: 1}
   exporters: [{type: stl}, %s]
   renderers: []
+report: {analyses: []}
 """
 
 
@@ -116,7 +117,6 @@ def run_with(exporter: str, registry: Registry, folder: Path) -> Path:
 BALL = "{shape: ball, diameter: 1mm}"
 
 
-@pytest.mark.usefixtures("without_report")
 def test_a_plugins_language_is_read_back_and_simulated(plugins: Registry, tmp_path: Path) -> None:
     tiled = f"{{type: table, cutter: {BALL}, rougher: null, stepover: 0.2mm, stock: 11mm, bed: [7mm, 20mm]}}"
     folder = run_with(tiled, plugins, tmp_path)
@@ -131,7 +131,6 @@ def test_a_plugins_language_is_read_back_and_simulated(plugins: Registry, tmp_pa
     assert TOY_PLUGIN.package in manifest["versions"]
 
 
-@pytest.mark.usefixtures("without_report")
 def test_a_plugins_own_toolpath_is_simulated(plugins: Registry, tmp_path: Path) -> None:
     report = simulate_milling(run_with("{type: planer, depth: 0.5mm}", plugins, tmp_path), plugins)
     assert report.programs == ("lens.npy",)
@@ -141,7 +140,6 @@ def test_a_plugins_own_toolpath_is_simulated(plugins: Registry, tmp_path: Path) 
     assert set(report.psnr_db["single"]) == {"designed", "as cut", "polished"}
 
 
-@pytest.mark.usefixtures("without_report")
 def test_a_plugin_that_cannot_read_its_program_is_named_and_leaves_nothing(plugins: Registry, tmp_path: Path) -> None:
     folder = run_with("{type: broken}", plugins, tmp_path)
     before = sorted(folder.rglob("*"))

@@ -284,6 +284,7 @@ pipeline:
   exporters:
     - {type: gcode, cutter: {shape: ball, diameter: 1mm}, stepover: 0.1mm, stock: 11mm}
   renderers: [{type: tracer}]
+report: {analyses: []}
 """
 """The lens turns out nearly flat; the plate is thicker, so that all of it is milled."""
 

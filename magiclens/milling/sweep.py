@@ -53,7 +53,9 @@ def _nearer(
     """
     cell, middle = outline.radius / 4, (moves[:, 0] + moves[:, 1]) / 2
     starts = [np.searchsorted(a, a[0] + cell * np.arange(int((a[-1] - a[0]) / cell) + 1)) for a in (y, x)]
-    highest = np.maximum.reduceat(np.maximum.reduceat(z, starts[0], axis=0), starts[1], axis=1)
+    # a last cell that begins at the last point may begin after it, by rounding
+    first_row, first_column = (np.minimum(start, len(a) - 1) for start, a in zip(starts, (y, x), strict=True))
+    highest = np.maximum.reduceat(np.maximum.reduceat(z, first_row, axis=0), first_column, axis=1)
     # a point that a short move can cut is within 7 cells of its middle: half the move, the radius, one for rounding
     highest = maximum_filter(highest, 2 * 7 + 1, mode="nearest")
     row, column = (
