@@ -15,7 +15,7 @@ _BATCH = 4_000_000
 """Number of samples that are held at once."""
 
 
-def finish(op: Operation, path: Toolpath, part: Rectangle) -> float:
+def add_finishing(op: Operation, path: Toolpath, part: Rectangle) -> float:
     """Add the lines of a part to a toolpath; returns how far the heights of neighbouring lines differ at most, mm."""
     nodes, lines = op.nodes(part), op.lines(part)
     _, lift = op.lifts(nodes, lines)

@@ -16,11 +16,11 @@ from magiclens.contract.artifacts import Solid
 from magiclens.contract.errors import InputError
 from magiclens.contract.units import LENGTH
 from magiclens.milling.border import Rectangle, top_vertices
-from magiclens.milling.finishing import finish
+from magiclens.milling.finishing import add_finishing
 from magiclens.milling.operation import SAG_MM, Operation
 from magiclens.milling.options import MillingOptions
 from magiclens.milling.program import MillingProgram, MillingSetup
-from magiclens.milling.roughing import rough
+from magiclens.milling.roughing import add_roughing
 from magiclens.milling.scallop import scallop_mm
 from magiclens.milling.toolpath import Toolpath
 
@@ -129,9 +129,9 @@ def _program(options: MillingOptions, operations: list[Operation], tile: Rectang
     for op in operations:
         path.take(op.number)
         if op.name == "finishing":
-            left = _left_mm(options, op, finish(op, path, tile))
+            left = _left_mm(options, op, add_finishing(op, path, tile))
         else:
-            rough(op, path, tile)
+            add_roughing(op, path, tile)
         path.lift()
     cutters = {op.name: (op.number, op.cutter) for op in operations}
     setup = MillingSetup(cutters, (x, y, operations[0].thickness_mm), left)

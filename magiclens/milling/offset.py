@@ -15,9 +15,9 @@ from magiclens.contract.artifacts import FloatArray, IntArray, Solid
 from magiclens.milling.border import Rectangle
 from magiclens.milling.offset_kernels import (
     DepthMap,
-    Edges,
     OffsetFaces,
     Raster,
+    TouchableEdges,
     fill_depths,
     lowest_tips,
     shortened,
@@ -119,18 +119,18 @@ def _ridges(vertices: FloatArray, faces: IntArray) -> IntArray:
     return np.column_stack([low[kept], high[kept]])
 
 
-def _edges(vertices: FloatArray, ridges: IntArray, reach_mm: float) -> Edges:
+def _edges(vertices: FloatArray, ridges: IntArray, reach_mm: float) -> TouchableEdges:
     """The edges, each from its lower to its upper end, all with the same reach."""
     ends = vertices[ridges]
     falling = ends[:, 0, 2] > ends[:, 1, 2]
     ends[falling] = ends[falling][:, ::-1]
     low, high = (np.ascontiguousarray(ends[:, k]) for k in (0, 1))
-    return Edges(low, high, np.full(len(ends), reach_mm))
+    return TouchableEdges(low, high, np.full(len(ends), reach_mm))
 
 
 def _shortened(
-    edges: Edges, vertices: FloatArray, faces: IntArray, outline: Outline, covered: Rectangle
-) -> Edges:
+    edges: TouchableEdges, vertices: FloatArray, faces: IntArray, outline: Outline, covered: Rectangle
+) -> TouchableEdges:
     """The edges with shorter reaches: the tip must be above the surface near an edge while they touch."""
     low, high = np.array([covered.x0, covered.y0]), np.array([covered.x1, covered.y1])
     side = max(outline.radius / 8, 0.1)

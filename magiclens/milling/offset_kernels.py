@@ -27,8 +27,8 @@ class OffsetFaces(NamedTuple):
     slope: FloatArray
 
 
-class Edges(NamedTuple):
-    """Edges of the mesh that a cutter can touch.
+class TouchableEdges(NamedTuple):
+    """TouchableEdges of the mesh that a cutter can touch.
 
     low, high: (E, 3) their lower and their upper end, mm. reach: (E,) how far from the edge, seen from above, the tip
     can be while they touch, mm.
@@ -115,7 +115,7 @@ def lowest_tips(outline, faces, face_rows, edges, edge_rows, raster, floor):
 
     Args:
         outline: the cutter's ``Outline``.
-        faces, edges: ``OffsetFaces`` and ``Edges``.
+        faces, edges: ``OffsetFaces`` and ``TouchableEdges``.
         face_rows, edge_rows: the ``RowIndex`` of each over the rows of the raster.
         raster: a ``Raster``.
         floor: z where there is no surface, mm.

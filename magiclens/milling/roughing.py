@@ -16,7 +16,7 @@ _BRIDGE_MM = 15.0
 """Gaps in a line up to this length are crossed over the surface rather than at the safe height, which is faster."""
 
 
-def rough(op: Operation, path: Toolpath, part: Rectangle) -> None:
+def add_roughing(op: Operation, path: Toolpath, part: Rectangle) -> None:
     """Add to a toolpath what removes all that is above the surface with its allowance, in a part."""
     nodes, lines, down = op.nodes(part), op.lines(part), op.options.rough_stepdown_mm
     low = op.tips(nodes, lines) + op.options.allowance
