@@ -14,8 +14,9 @@ from magiclens.contract.artifacts import Assignment, Candidates, FloatArray, Int
 from magiclens.contract.errors import StageError
 from magiclens.contract.stages import Annealer
 from magiclens.integration.poisson import Poisson
+from magiclens.optics.medium import slab_of
 from magiclens.optics.refraction import facet_normal
-from scenes import ABOVE, IOR, THICK, assigned, blank_scene, choices, small_lens
+from scenes import ABOVE, THICK, assigned, blank_scene, choices, small_lens
 
 N = 8
 IDENTITY = (1.0, 0.0, 1.0)
@@ -182,7 +183,7 @@ def direct_energy(scene: Scene, candidates: Candidates, choice: IntArray, weight
     for i, j in np.ndindex(n, n):
         centre = lens.facet_centres_mm()[i, j]
         source = centre + candidates.offsets_mm[i, j, choice[i, j]]
-        g[i, j] = facet_normal(*ABOVE, *centre, THICK, *source, lens.gap_mm, IOR)[:2]
+        g[i, j] = facet_normal(ABOVE, (*centre, THICK), tuple(source), slab_of(lens))[:2]
     wide: FloatArray = np.pad(g, ((1, 1), (1, 1), (0, 0)), mode="edge")
     right, left, up, down = wide[1:-1, 2:] - g, wide[1:-1, :-2] - g, wide[:-2, 1:-1] - g, wide[2:, 1:-1] - g
     differences = sum((d**2).sum(axis=-1) for d in (right, left, up, down)) / 16

@@ -11,7 +11,8 @@ from magiclens.geometry.facets import edge_models, patches_seen
 from magiclens.geometry.solid import solid_from_heights
 from magiclens.integration.orientation import edge_rises
 from magiclens.integration.poisson import lenslets
-from magiclens.optics.eyes import FLAT, LANDING, MAP, PLACE, SHEAR, SIGHT, SPAN, local_map, sight, sights
+from magiclens.optics.eyes import linearise, linearised, local_map, unknown_first_order
+from magiclens.optics.medium import Slab
 from magiclens.optics.refraction import facet_normal
 from magiclens.optics.walls import DOWN, LEFT, RIGHT, UP
 from magiclens.rendering.tracer import Tracer, trace
@@ -41,23 +42,20 @@ def onward(eye: Eye, gap: float) -> FloatArray:
     return -np.array(eye[:2]) * (THICK / IOR + gap) / (eye[2] - THICK)
 
 
-def block(row: FloatArray, start: int) -> FloatArray:
-    return row[start : start + 4].reshape(2, 2)
-
-
 @gaps
 @pytest.mark.parametrize("height", [0.0, 1.2, -0.8])
 @pytest.mark.parametrize("eye", [ABOVE, ASIDE])
 def test_the_eye_that_a_facet_was_made_for_sees_its_patch(eye: Eye, height: float, gap: float) -> None:
-    out, centre, offset = np.zeros(SIGHT), np.array([12.0, -7.0]), np.array([2.0, -3.0])
-    assert sight(np.array(eye), np.array(eye), *centre, height, *offset, THICK, gap, IOR, True, out)
-    np.testing.assert_allclose(out[LANDING : LANDING + 2], centre + offset, atol=1e-9)
-    np.testing.assert_allclose(out[PLACE : PLACE + 2], centre, atol=1e-9)
-    np.testing.assert_allclose(block(out, MAP), np.zeros((2, 2)), atol=1e-7)
-    np.testing.assert_allclose(block(out, SPAN), np.eye(2), atol=1e-7)
-    np.testing.assert_allclose(block(out, SHEAR), np.eye(2), atol=1e-7)
+    out, slab, me = unknown_first_order(2), Slab(THICK, gap, IOR), np.array(eye)
+    assert linearise(me, (12.0, -7.0, height), (2.0, -3.0), me, slab, True, out, 1)
+    np.testing.assert_allclose(out.landing[1], (14.0, -10.0), atol=1e-9)
+    np.testing.assert_allclose(out.position[1], (12.0, -7.0), atol=1e-9)
+    np.testing.assert_allclose(out.by_facet[1], np.zeros((2, 2)), atol=1e-7)
+    np.testing.assert_allclose(out.by_source[1], np.eye(2), atol=1e-7)
+    np.testing.assert_allclose(out.position_by_facet[1], np.eye(2), atol=1e-7)
+    assert all(np.isnan(given[0]).all() for given in out), "the other row is left alone"
     m, seen = np.array([0.3, -0.2, 0.7]), np.zeros(4)
-    local_map(out, m, seen)
+    local_map(out, 1, m, seen)
     np.testing.assert_allclose(seen, [0.3, -0.2, -0.2, 0.7], atol=1e-7)
 
 
@@ -98,21 +96,21 @@ def test_other_eyes_see_what_the_tracer_finds(made_for: Eye, eye: Eye, cells: st
     )
     field = lens_at(scene, chosen, np.full((1, 1), height))
     hits = trace(solid_from_heights(field), lens, grey_view(BLANK, BLANK, eye), per, 1)[:, :, 0].astype(float)
-    (seen,) = sights(
+    seen = linearised(
         np.array(eye), np.array(made_for), np.zeros((1, 2)), field.heights_mm[:, :, 48, 48].ravel(),
-        chosen.offsets_mm.reshape(1, 2).astype(float), THICK, gap, IOR,
+        chosen.offsets_mm.reshape(1, 2).astype(float), Slab(THICK, gap, IOR),
     )  # fmt: skip
-    expected = block(seen, MAP) + block(seen, SPAN) @ chosen.maps[0, 0][[0, 1, 1, 2]].reshape(2, 2)
+    expected = seen.by_facet[0] + seen.by_source[0] @ chosen.maps[0, 0][[0, 1, 1, 2]].reshape(2, 2)
     at = ((np.arange(per) + 0.5) / per - 0.5) * pitch
-    q = np.stack(np.meshgrid(at, -at), axis=-1) - seen[PLACE : PLACE + 2]
-    p = q @ np.linalg.inv(block(seen, SHEAR)).T
+    q = np.stack(np.meshgrid(at, -at), axis=-1) - seen.position[0]
+    p = q @ np.linalg.inv(seen.position_by_facet[0]).T
     own = np.abs(p).max(axis=-1) < 0.25 * pitch
     assert own.sum() > 3000
     assert (hits[own, 2] > 0).all()
     x, y = p[own].T
     quadratic = np.column_stack([np.ones_like(x), x, y, x**2, x * y, y**2])
     fit = np.linalg.lstsq(quadratic, hits[own, :2], rcond=None)[0]
-    np.testing.assert_allclose(fit[0], seen[LANDING : LANDING + 2], atol=3e-3)
+    np.testing.assert_allclose(fit[0], seen.landing[0], atol=3e-3)
     np.testing.assert_allclose(fit[1:3].T, expected, atol=1.2e-2)
     assert np.linalg.norm(fit[0] - chosen.offsets_mm[0, 0]) > 1.0
 
@@ -120,28 +118,27 @@ def test_other_eyes_see_what_the_tracer_finds(made_for: Eye, eye: Eye, cells: st
 @gaps
 def test_within_a_flat_micro_facet_the_source_passes_by_as_through_a_plane(gap: float) -> None:
     lens, offset = small_lens(2, 1.0, source=150.0, gap_mm=gap, floor_mm=100.0), np.array([3.0, -2.0])
-    (seen,) = sights(
-        np.array(FAR_RIGHT), np.array(ABOVE), np.zeros((1, 2)), np.zeros(1), offset[None], THICK, gap, IOR
-    )  # fmt: skip
-    nx, ny, nz = facet_normal(*ABOVE, 0.0, 0.0, THICK, *offset, gap, IOR)
+    slab = Slab(THICK, gap, IOR)
+    seen = linearised(np.array(FAR_RIGHT), np.array(ABOVE), np.zeros((1, 2)), np.zeros(1), offset[None], slab)
+    nx, ny, nz = facet_normal(ABOVE, (0.0, 0.0, THICK), tuple(offset), slab)
     x, y = plane_points_mm(lens)
     plane = solid_from_heights(surface(lens, -(nx * x + ny * y) / nz, None))
     hits = trace(plane, lens, grey_view(BLANK, BLANK, FAR_RIGHT), 64, 1)[20:44, 20:44, 0].astype(float)
     at = (((np.arange(64) + 0.5) / 64 - 0.5) * lens.size_mm)[20:44]
-    p = np.stack(np.meshgrid(at, -at), axis=-1).reshape(-1, 2) @ np.linalg.inv(block(seen, SHEAR)).T
+    p = np.stack(np.meshgrid(at, -at), axis=-1).reshape(-1, 2) @ np.linalg.inv(seen.position_by_facet[0]).T
     fit = np.linalg.lstsq(np.column_stack([np.ones(len(p)), p]), hits.reshape(-1, 3)[:, :2], rcond=None)[0]
-    np.testing.assert_allclose(fit[0], seen[LANDING : LANDING + 2], atol=1e-4)
-    np.testing.assert_allclose(fit[1:].T, block(seen, FLAT), atol=1e-3)
-    assert np.abs(block(seen, FLAT) - np.eye(2)).max() > 0.05
+    np.testing.assert_allclose(fit[0], seen.landing[0], atol=1e-4)
+    np.testing.assert_allclose(fit[1:].T, seen.flat_by_facet[0], atol=1e-3)
+    assert np.abs(seen.flat_by_facet[0] - np.eye(2)).max() > 0.05
 
 
 def test_what_is_reflected_totally_is_not_seen_and_predicted_black() -> None:
     """A facet that bends light far to the right traps the light of an eye that looks to the right already."""
     far_left = np.array([-700.0, 0.0, THICK + 400.0])
     offsets = np.array([[0.0, 0.0], [15.0, 0.0]])
-    seen = sights(far_left, np.array(ABOVE), np.zeros((2, 2)), np.zeros(2), offsets, THICK, 5.0, IOR)
-    assert np.isfinite(seen[0]).all()
-    assert np.isnan(seen[1]).all()
+    slab = Slab(THICK, 5.0, IOR)
+    seen = linearised(far_left, np.array(ABOVE), np.zeros((2, 2)), np.zeros(2), offsets, slab)
+    assert all(np.isfinite(a[0]).all() and np.isnan(a[1]).all() for a in seen)
     white = np.ones((16, 16))
     scene = Scene(
         small_lens(1, source=90.0, gap_mm=5.0),

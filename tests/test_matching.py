@@ -24,6 +24,7 @@ from magiclens.matching.driver import Pool, search_all
 from magiclens.matching.exhaustive import Exhaustive
 from magiclens.matching.multi_view import MultiView
 from magiclens.matching.polish import blur_levels
+from magiclens.optics.medium import slab_of
 from magiclens.optics.refraction import facet_normal
 from magiclens.rendering.facet_errors import facet_errors
 from magiclens.rendering.tracer import Tracer
@@ -139,7 +140,7 @@ def flat_enough(lens: Lens, eye: Eye, centre: FloatArray, offset: FloatArray, xx
     half = lens.pitch_mm / 2
     for p in np.array([(0, 0), *itertools.product((-half, half), repeat=2)], float):
         s = centre + offset + (xx * p[0], yy * p[1])
-        normal = facet_normal(*eye, *(centre + p), lens.thickness_mm, *s, lens.gap_mm, lens.ior)
+        normal = facet_normal(eye, (*(centre + p), lens.thickness_mm), tuple(s), slab_of(lens))
         if normal[2] < math.cos(math.radians(lens.max_slope_deg)):
             return False
     return True
@@ -380,7 +381,7 @@ def test_patches_that_take_too_steep_facets_are_left_out(eye: Eye) -> None:
         centre, (xx, xy, yy) = lens.facet_centres_mm()[i, j], found.maps[i, j, k]
         for p in itertools.product((-1.5, 1.5), repeat=2):
             s = centre + found.offsets_mm[i, j, k] + (xx * p[0] + xy * p[1], xy * p[0] + yy * p[1])
-            normal = facet_normal(*eye, *(centre + p), THICK, *s, 0.0, IOR)
+            normal = facet_normal(eye, (*(centre + p), THICK), tuple(s), slab_of(lens))
             steepest = max(steepest, math.degrees(math.acos(normal[2])))
     assert 20.0 < steepest < 25.001
 

@@ -20,6 +20,7 @@ from magiclens.integration.poisson import Poisson
 from magiclens.matching.exhaustive import Exhaustive
 from magiclens.matching.multi_view import MultiView
 from magiclens.matching.several_eyes import match
+from magiclens.optics.medium import slab_of
 from magiclens.optics.refraction import facet_normal, refract
 from magiclens.rendering.facet_errors import facet_errors
 from scenes import ABOVE, THICK, assigned, blotches, choices, grey_view, letter_f, small_lens, surface
@@ -161,7 +162,7 @@ class Slow:
 
     def normal_at(self, p: FloatArray, point: FloatArray) -> FloatArray:
         wanted = self.centre + self.offset + self.m @ p
-        return np.array(facet_normal(*self.made_for, *point, *wanted, self.lens.gap_mm, self.lens.ior))
+        return np.array(facet_normal(self.made_for, tuple(point), tuple(wanted), slab_of(self.lens)))
 
     def through(self, point: FloatArray, normal: FloatArray) -> FloatArray:
         ray = (point - self.eye) / np.linalg.norm(point - self.eye)

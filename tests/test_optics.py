@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,8 +14,9 @@ from scipy.optimize import brentq, minimize_scalar
 
 from magiclens.contract.artifacts import FloatArray, Scene
 from magiclens.geometry.facets import EDGE_POINTS, central_slopes, cost_of_lost_light, edge_models
+from magiclens.optics.medium import Slab
 from magiclens.optics.refraction import facet_normal, refract, sine_in_slab, transmittance
-from magiclens.optics.walls import DOWN, LEFT, RIGHT, UP, settle, sweep, total_energy
+from magiclens.optics.walls import DOWN, LEFT, RIGHT, UP, Edges, EnergyTerms, best_height, heat_bath_sweep, total_energy
 from scenes import ABOVE, DISTANCE, IOR, THICK, blank_scene, grey_view, small_lens
 
 EYES = [(0.0, 0.0, THICK + DISTANCE), (120.0, -80.0, THICK + 300.0), (-30.0, 200.0, THICK + 500.0)]
@@ -54,7 +56,7 @@ def slab_path(sideways: float, depth: float, gap: float) -> float:
 @pytest.mark.parametrize("eye", EYES)
 def test_light_takes_fermats_path_through_a_facet(eye: tuple[float, float, float], gap: float) -> None:
     source = TOP[:2] + np.array([6.0, -4.5])
-    normal = np.array(facet_normal(*eye, *TOP, *source, gap, IOR))
+    normal = np.array(facet_normal(eye, tuple(TOP), tuple(source), Slab(THICK, gap, IOR)))
     for along in (np.cross(normal, (0.0, 1.0, 0.0)), np.cross(normal, (1.0, 0.3, 0.0))):
 
         def rate(s: float, along: FloatArray = along) -> float:
@@ -74,7 +76,7 @@ def test_a_facets_normal_shows_the_wanted_source_point(
     dx: float, dy: float, eye: tuple[float, float, float], gap: float
 ) -> None:
     wanted = TOP[:2] + np.array([dx, dy])
-    normal = facet_normal(*eye, *TOP, *wanted, gap, IOR)
+    normal = facet_normal(eye, tuple(TOP), tuple(wanted), Slab(THICK, gap, IOR))
     assert np.linalg.norm(normal) == pytest.approx(1.0)
     assert normal[2] > 0
     np.testing.assert_allclose(seen_through(np.array(eye), TOP, normal, gap), wanted, atol=1e-9)
@@ -82,7 +84,7 @@ def test_a_facets_normal_shows_the_wanted_source_point(
 
 def test_a_facet_tilts_against_the_source_point_it_shows() -> None:
     """A wedge bends light toward its thick side: to show a point at +x, the facet rises toward +x."""
-    normal = facet_normal(*ABOVE, 0.0, 0.0, THICK, 5.0, 0.0, 0.0, IOR)
+    normal = facet_normal(ABOVE, (0.0, 0.0, THICK), (5.0, 0.0), Slab(THICK, 0.0, IOR))
     assert normal[0] < 0
     assert normal[1] == 0
 
@@ -189,26 +191,25 @@ def test_rays_drift_toward_the_edges_on_the_side_they_are_bent_to() -> None:
         np.testing.assert_allclose(drifts[0, 0, 0, edge], max(outward, 0.0), atol=1e-6)
 
 
-def two_facets(step: float, drift: float, edge: int = RIGHT) -> tuple[FloatArray, ...]:
+def two_facets(step: float, drift: float, edge: int = RIGHT) -> tuple[Any, ...]:
     """(1 of 2) x 2 facets; the left one is ``step`` higher, all of its rays drift toward one edge."""
     heights, profiles = np.array([[step, 0.0], [0.0, 0.0]]), np.zeros((2, 2, 1, 4, EDGE_POINTS), np.float32)
     drifts = np.zeros((2, 2, 1, 4, EDGE_POINTS), np.float32)
     drifts[0, 0, 0, edge] = drift
-    return np.zeros((2, 2), np.int64), heights, np.zeros((2, 2, 1)), profiles, drifts
+    return np.zeros((2, 2), np.int64), heights, np.zeros((2, 2, 1)), Edges(profiles, drifts)
 
 
 @pytest.mark.parametrize(
     ("step", "edge", "lost"), [(0.8, RIGHT, 0.8), (0.8, DOWN, 0.8), (0.8, UP, 0.0), (-0.8, RIGHT, 0.0)]
 )
 def test_only_the_higher_side_loses_light_and_only_where_its_rays_drift_to(step: float, edge: int, lost: float) -> None:
-    image, light, even = total_energy(*two_facets(step, 0.1, edge), 2.0, 1.0, 0.0, 0.0)
+    image, light, even = total_energy(*two_facets(step, 0.1, edge), EnergyTerms(2.0, 1.0, 0.0, 0.0))
     assert (image, even) == (0.0, 0.0)
     assert light == pytest.approx(2.0 * 0.1 * lost)
 
 
 def test_every_edge_counts_once_and_both_its_sides_share_the_step() -> None:
-    *facets, profiles, drifts = two_facets(0.8, 0.0)
-    _, light, even = total_energy(*facets, profiles, drifts, 2.0, 1.0, 0.5, 0.25)
+    _, light, even = total_energy(*two_facets(0.8, 0.0), EnergyTerms(2.0, 1.0, 0.5, 0.25))
     assert light == 0.0
     assert even == pytest.approx(0.5 * 2 * 0.8**2 + 0.25 * 0.8**2)
 
@@ -224,24 +225,23 @@ def test_lost_light_costs_what_a_random_source_pixel_in_its_place_would() -> Non
 @pytest.mark.parametrize(("diagonal", "lost"), [(0.8, 0.8**2), (-0.8, 0.0)])
 def test_light_is_lost_past_a_corner_where_the_diagonal_facet_stands_lower(diagonal: float, lost: float) -> None:
     """The upper left facet's rays drift right and down, below neighbours that stand as high, to the lower right one."""
-    choice, heights, errors, profiles, drifts = two_facets(0.0, 0.0)
+    choice, heights, errors, edges = two_facets(0.0, 0.0)
     heights[1, 1] = -diagonal
-    drifts[0, 0, 0, RIGHT], drifts[0, 0, 0, DOWN] = 0.1, 0.3
-    _, light, _ = total_energy(choice, heights, errors, profiles, drifts, 2.0, 5.0, 0.0, 0.0)
+    edges.drifts[0, 0, 0, RIGHT], edges.drifts[0, 0, 0, DOWN] = 0.1, 0.3
+    _, light, _ = total_energy(choice, heights, errors, edges, EnergyTerms(2.0, 5.0, 0.0, 0.0))
     assert light == pytest.approx(2.0 * 0.1 * 0.3 * lost / 5.0**2)
 
 
-def random_facet(rng: np.random.Generator) -> tuple[FloatArray, ...]:
+def random_facet(rng: np.random.Generator) -> tuple[Edges, FloatArray]:
     own, outward = rng.uniform(-1, 1, (4, EDGE_POINTS)), rng.uniform(0, 0.5, (4, EDGE_POINTS))
     around = np.stack([rng.uniform(-1, 1, (4, EDGE_POINTS + 1)), rng.uniform(0, 0.5, (4, EDGE_POINTS + 1))], axis=-1)
     around[rng.random(4) < 0.3] = np.nan
-    return own, outward, around
+    return Edges(own, outward), around
 
 
-def cost_at(
-    height: float, facet: tuple[FloatArray, ...], loss: float, pitch: float, even: float, screening: float
-) -> float:
-    own, outward, around = facet
+def cost_at(height: float, facet: tuple[Edges, FloatArray], terms: EnergyTerms) -> float:
+    (own, outward), around = facet
+    loss, pitch, even, screening = terms
     steps = own + height - around[:, :-1, 0]
     widths = np.maximum(steps, 0) * outward + np.maximum(-steps, 0) * around[:, :-1, 1]
     ends = [(own[e, p] + own[f, q]) / 2 for e, p, f, q in CORNERS]
@@ -257,18 +257,18 @@ CORNERS = ((RIGHT, -1, UP, -1), (UP, 0, LEFT, -1), (LEFT, 0, DOWN, 0), (DOWN, -1
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_a_facet_settles_where_it_costs_least(seed: int) -> None:
+def test_a_facet_is_put_where_it_costs_least(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    facet, weights = random_facet(rng), (1.0, 1.5, rng.choice([0.0, 0.05]), 1e-4)
-    height, cost = settle(*facet, *weights, -1.5, 1.5)
-    best = minimize_scalar(cost_at, bounds=(-1.5, 1.5), args=(facet, *weights), method="bounded")
-    assert cost == pytest.approx(cost_at(height, facet, *weights), rel=1e-9)
+    facet, terms = random_facet(rng), EnergyTerms(1.0, 1.5, rng.choice([0.0, 0.05]), 1e-4)
+    height, cost = best_height(*facet, terms, -1.5, 1.5)
+    best = minimize_scalar(cost_at, bounds=(-1.5, 1.5), args=(facet, terms), method="bounded")
+    assert cost == pytest.approx(cost_at(height, facet, terms), rel=1e-9)
     assert cost <= best.fun + 1e-4
 
 
-def test_a_facet_settles_within_its_bounds() -> None:
+def test_a_facet_is_put_within_its_bounds() -> None:
     flat, far = np.zeros((4, EDGE_POINTS)), np.full((4, EDGE_POINTS + 1, 2), 3.0)
-    height, _ = settle(flat, flat, far, 1.0, 1.0, 1.0, 0.0, -0.5, 0.5)
+    height, _ = best_height(Edges(flat, flat), far, EnergyTerms(1.0, 1.0, 1.0, 0.0), -0.5, 0.5)
     assert height == pytest.approx(0.5, abs=1e-4)
 
 
@@ -280,11 +280,11 @@ def test_a_cold_sweep_never_raises_the_energy(seed: int, n: int, labels: int) ->
     errors, points = rng.uniform(0, 0.1, (n, n, labels)), (n, n, labels, 4, EDGE_POINTS)
     drifts = rng.uniform(0, 0.4, points).astype(np.float32)
     profiles = rng.uniform(-0.5, 0.5, points).astype(np.float32)
-    weights = (0.3, 1.0, 0.02, 1e-4)
-    before = total_energy(choice, heights, errors, profiles, drifts, *weights).sum()
+    edges, terms = Edges(profiles, drifts), EnergyTerms(0.3, 1.0, 0.02, 1e-4)
+    before = total_energy(choice, heights, errors, edges, terms).sum()
     for _ in range(3):
-        sweep(choice, heights, errors, profiles, drifts, *weights, 2.0, 0.0, np.zeros((n, n)))
-        after = total_energy(choice, heights, errors, profiles, drifts, *weights).sum()
+        heat_bath_sweep(choice, heights, errors, edges, terms, 2.0, 0.0, np.zeros((n, n)))
+        after = total_energy(choice, heights, errors, edges, terms).sum()
         assert after <= before + 2e-5 * n**2
         before = after
 

@@ -19,7 +19,7 @@ from magiclens.images import resize, to_display
 from magiclens.integration.laplacian import cosines
 from magiclens.integration.measures import measures, slopes_deg
 from magiclens.integration.poisson import Poisson
-from magiclens.integration.refinement import LOOKS, _samples, _sights, _slab, foreseen
+from magiclens.integration.refinement import LOOKS, _optics, _samples, _sights, foreseen
 from magiclens.integration.refinement_kernels import View as Seen
 from magiclens.integration.refinement_kernels import _along, _back, _field, _look, _pull, _slopes, _spectrum
 from magiclens.matching.exhaustive import Exhaustive
@@ -310,7 +310,7 @@ class Facet:
         built = rolling(scene)
         self.scene = showing(replace(scene, views=views), built)
         self.heights = built.heights_mm[1, 2].copy()
-        self.centre, self.slab = scene.lens.facet_centres_mm()[1, 2], _slab(scene.lens, built.eye_mm)
+        self.centre, self.optics = scene.lens.facet_centres_mm()[1, 2], _optics(built)
         self.samples = _samples(scene.lens, LOOKS[0])
         self.sights = _sights(self.scene, self.samples.pixels)
         self.triangles, self.channels = 2 * scene.lens.microfacets**2, len(self.sights.plane)
@@ -322,7 +322,7 @@ class Facet:
         light, residuals = np.zeros((2, pixels, self.channels), np.float32)
         gradients = np.zeros((pairs, 2, self.channels), np.float32)
         seen = Seen(np.zeros((self.triangles, 2)), residuals, gradients)
-        error = _look(heights, self.centre, self.samples, self.sights, self.slab, True, rays, light, seen)
+        error = _look(heights, self.centre, self.samples, self.sights, self.optics, True, rays, light, seen)
         assert error == pytest.approx((seen.residuals.astype(float) ** 2).mean(), rel=1e-5)
         return seen
 

@@ -40,32 +40,32 @@ class HeatBath(Annealer):
             One candidate per facet. The energies in ``metrics`` are per facet, in mean squared display values.
         """
         from magiclens.geometry.facets import cost_of_lost_light, edge_models
-        from magiclens.optics.walls import sweep, total_energy
+        from magiclens.optics.walls import EnergyTerms, heat_bath_sweep, total_energy
 
         n = scene.lens.facets
-        profiles, drifts = edge_models(scene, candidates.offsets_mm, candidates.maps)
+        edges = edge_models(scene, candidates.offsets_mm, candidates.maps)
         errors = candidates.errors.astype(np.float64)
         loss = self.loss_weight * cost_of_lost_light(scene)
-        terms = (loss, scene.lens.pitch_mm, self.step_weight, self.screening)
+        terms = EnergyTerms(loss, scene.lens.pitch_mm, self.step_weight, self.screening)
         relief = scene.lens.relief_mm
 
         # The start, which the result must not be worse than: every facet's best candidate, at its best height.
         first, first_levels = errors.argmin(axis=-1), np.zeros((n, n))
         only_first = np.where(np.arange(errors.shape[-1]) == first[..., None], errors, np.inf)
         for _ in range(self.sweeps):
-            sweep(first, first_levels, only_first, profiles, drifts, *terms, relief, 0.0, np.zeros((n, n)))
-        before = float(total_energy(first, first_levels, errors, profiles, drifts, *terms).sum())
+            heat_bath_sweep(first, first_levels, only_first, edges, terms, relief, 0.0, np.zeros((n, n)))
+        before = float(total_energy(first, first_levels, errors, edges, terms).sum())
 
         choice, levels = first.copy(), first_levels.copy()
         falling = self.temperature * (1 - np.arange(self.sweeps) / self.sweeps) ** 2
         temperatures = np.concatenate([falling, np.zeros(_COLD_SWEEPS)])
         for done, temperature in enumerate(temperatures):
-            sweep(choice, levels, errors, profiles, drifts, *terms, relief, temperature, rng.random((n, n)))
+            heat_bath_sweep(choice, levels, errors, edges, terms, relief, temperature, rng.random((n, n)))
             progress((done + 1) / len(temperatures))
-        after = float(total_energy(choice, levels, errors, profiles, drifts, *terms).sum())
+        after = float(total_energy(choice, levels, errors, edges, terms).sum())
         if after > before:
             choice, levels, after = first, first_levels, before
-        image, lost_light, even = total_energy(choice, levels, errors, profiles, drifts, *terms) / n**2
+        image, lost_light, even = total_energy(choice, levels, errors, edges, terms) / n**2
         metrics = {
             "energy_before": before / n**2,
             "energy_after": after / n**2,

@@ -3,53 +3,60 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from magiclens.contract.artifacts import Assignment, FloatArray, Scene
 from magiclens.images import to_display
 
+if TYPE_CHECKING:
+    from magiclens.optics.walls import Edges
+
 EDGE_POINTS = 4
 """Points per facet edge at which steps are measured."""
 
 
-def edge_models(scene: Scene, offsets: FloatArray, maps: FloatArray) -> tuple[FloatArray, FloatArray]:
+def edge_models(scene: Scene, offsets: FloatArray, maps: FloatArray) -> Edges:
     """Edge profiles, mm, of zero-mean lenslets, and outward drifts, both (N, N, K, 4, Q) float32.
 
     offsets: (N, N, K, 2) mm and maps: (N, N, K, 3), as in ``artifacts.Candidates``. See ``optics.walls``.
     """
-    from magiclens.optics import lenslets
+    from magiclens.optics.lenslets import lenslet_edges
+    from magiclens.optics.medium import cut_of, slab_of
+    from magiclens.optics.walls import Edges
 
     lens, n = scene.lens, scene.lens.facets
-    profiles, drifts = lenslets.edge_models(
-        lens.facet_centres_mm().reshape(-1, 2), *_flat(n, offsets, maps), scene.reference_eye_mm,
-        _eyes(scene), lens.cells == "vertical", lens.pitch_mm,
-        lens.thickness_mm, lens.gap_mm, lens.ior, EDGE_POINTS,
-    )
+    edges = lenslet_edges(
+        lens.facet_centres_mm().reshape(-1, 2), *_flat(n, offsets, maps), lens.pitch_mm,
+        cut_of(scene), _eyes(scene), slab_of(lens), EDGE_POINTS,
+    )  # fmt: skip
     shape = *offsets.shape[:3], 4, EDGE_POINTS
-    return profiles.reshape(shape), drifts.reshape(shape)
+    return Edges(edges.profiles.reshape(shape), edges.drifts.reshape(shape))
 
 
 def built_drifts(scene: Scene, shapes: FloatArray) -> FloatArray:
     """Outward drifts (N, N, 4, k) float32 at the edges of facets of shapes (N, N, k, k), mm. See ``optics.walls``."""
-    from magiclens.optics import lenslets
+    from magiclens.optics.lenslets import shape_drifts
+    from magiclens.optics.medium import cut_of, slab_of
 
     lens, n, k = scene.lens, scene.lens.facets, shapes.shape[2]
-    drifts: FloatArray = lenslets.built_drifts(
-        np.ascontiguousarray(shapes.reshape(-1, k, k)), lens.facet_centres_mm().reshape(-1, 2), scene.reference_eye_mm,
-        _eyes(scene), lens.cells == "vertical", (lens.pitch_mm - lens.wall_mm) / (k - 1), lens.thickness_mm, lens.ior,
+    drifts: FloatArray = shape_drifts(
+        np.ascontiguousarray(shapes.reshape(-1, k, k)), lens.facet_centres_mm().reshape(-1, 2),
+        (lens.pitch_mm - lens.wall_mm) / (k - 1), cut_of(scene), _eyes(scene), slab_of(lens),
     )  # fmt: skip
     return drifts.reshape(n, n, 4, k)
 
 
 def central_slopes(scene: Scene, offsets: FloatArray) -> FloatArray:
     """(N, N, K, 2) dz/dx and dz/dy at the facets' centres that show the patches at ``offsets`` (N, N, K, 2) mm."""
-    from magiclens.optics import lenslets
+    from magiclens.optics.lenslets import centre_slopes
+    from magiclens.optics.medium import slab_of
 
     lens, n = scene.lens, scene.lens.facets
-    slopes: FloatArray = lenslets.centre_slopes(
-        lens.facet_centres_mm().reshape(-1, 2), *_flat(n, offsets, np.ones((*offsets.shape[:3], 3))),
-        scene.reference_eye_mm, lens.thickness_mm, lens.gap_mm, lens.ior,
+    flat = offsets.reshape(n * n, -1, 2).astype(np.float64)
+    slopes: FloatArray = centre_slopes(
+        lens.facet_centres_mm().reshape(-1, 2), flat, scene.reference_eye_mm, slab_of(lens)
     )
     return slopes.reshape(offsets.shape)
 
@@ -82,15 +89,16 @@ def patches_seen(
     given = np.stack([xx, xy, xy, yy], axis=-1).reshape(n, n, 2, 2)
     if np.allclose(eye_mm, cut_eye, rtol=0, atol=1e-6):
         return Patches(centres + assignment.offsets_mm, given, centres, np.broadcast_to(np.eye(2), given.shape))
-    from magiclens.optics.eyes import LANDING, MAP, PLACE, SHEAR, SPAN, sights
+    from magiclens.optics.eyes import linearised
+    from magiclens.optics.medium import slab_of
 
     offsets = assignment.offsets_mm.reshape(-1, 2).astype(np.float64)
     heights = np.zeros(n * n) if heights_mm is None else np.ascontiguousarray(heights_mm, np.float64).ravel()
-    seen = sights(
-        eye_mm, cut_eye, centres.reshape(-1, 2), heights, offsets, lens.thickness_mm, lens.gap_mm, lens.ior
-    ).reshape(n, n, -1)
-    along, span, shears = (seen[..., k : k + 4].reshape(n, n, 2, 2) for k in (MAP, SPAN, SHEAR))
-    landings, places = (seen[..., k : k + 2] for k in (LANDING, PLACE))
+    seen = linearised(eye_mm, cut_eye, centres.reshape(-1, 2), heights, offsets, slab_of(lens))
+    landings, places = seen.landing.reshape(n, n, 2), seen.position.reshape(n, n, 2)
+    along, span, shears = (
+        a.reshape(n, n, 2, 2) for a in (seen.by_facet, seen.by_source, seen.position_by_facet)
+    )  # fmt: skip
     return Patches(landings, along + span @ given, places, shears)
 
 

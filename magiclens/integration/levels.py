@@ -8,7 +8,7 @@ from scipy.fft import dctn, idctn
 from magiclens.contract.artifacts import FloatArray, Scene
 from magiclens.geometry.facets import built_drifts, cost_of_lost_light
 from magiclens.integration.laplacian import cosines, divergence
-from magiclens.optics.walls import DOWN, LEFT, RIGHT, UP, sweep
+from magiclens.optics.walls import DOWN, LEFT, RIGHT, UP, Edges, EnergyTerms, heat_bath_sweep
 
 _SWEEPS = 60
 """Sweeps of the coordinate descent over all facets, at most."""
@@ -65,12 +65,12 @@ def levels_of_least_lost_light(
         (N, N) levels, mm. No facet that fits leaves the relief.
     """
     lens, n = scene.lens, scene.lens.facets
-    drifts = built_drifts(scene, shapes)[:, :, None]
-    profiles, loss = _edge_profiles(shapes), cost_of_lost_light(scene)
+    edges = Edges(_edge_profiles(shapes), built_drifts(scene, shapes)[:, :, None])
     levels, choice, nothing = levels.copy(), np.zeros((n, n), np.int64), np.zeros((n, n))
-    weights = loss, lens.pitch_mm, step_weight, _SCREENING, lens.relief_mm
+    terms = EnergyTerms(cost_of_lost_light(scene), lens.pitch_mm, float(step_weight), _SCREENING)
     for _ in range(_SWEEPS):
-        if sweep(choice, levels, nothing[..., None], profiles, drifts, *weights, 0.0, nothing) < _SETTLED_MM:
+        moved = heat_bath_sweep(choice, levels, nothing[..., None], edges, terms, lens.relief_mm, 0.0, nothing)
+        if moved < _SETTLED_MM:
             break
     return within_relief(shapes, levels, lens.relief_mm)
 

@@ -7,7 +7,6 @@ plain. The paper stops at the lenslet (4.5).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -19,7 +18,8 @@ from magiclens.contract.artifacts import BoolArray, FloatArray, HeightField, Len
 from magiclens.images import resize, to_display
 from magiclens.integration.laplacian import cosines
 from magiclens.integration.measures import measures
-from magiclens.integration.refinement_kernels import Metric, Samples, Sights, Slab, refine_facets
+from magiclens.integration.refinement_kernels import Metric, Samples, Sights, refine_facets
+from magiclens.optics.medium import Cut, Optics, optics_of
 
 BLURS = (0.08, 0.03, 0.0)
 """Blurs of the sources, one after the other, of a facet's width: rays find their way down a blurred edge from afar."""
@@ -82,7 +82,7 @@ class _Facets:
 
     def __init__(self, scene: Scene, built: HeightField, locked: bool):
         k, lens = scene.lens.microfacets + 1, scene.lens
-        self._lens, self._slab, self._centres = lens, _slab(lens, built.eye_mm), lens.facet_centres_mm().reshape(-1, 2)
+        self._lens, self._optics, self._centres = lens, _optics(built), lens.facet_centres_mm().reshape(-1, 2)
         self._samples = {looks: _samples(lens, looks) for looks in LOOKS}
         finest = self._samples[LOOKS[-1]]
         self._sights = _sights(scene, finest.pixels)
@@ -108,7 +108,7 @@ class _Facets:
             part = self._amiss[first : first + AT_ONCE]
             heights, after = self.heights[part], np.zeros(len(part))
             refine_facets(
-                heights, self._centres[part], samples, sights, self._slab, self._metric, self._free,
+                heights, self._centres[part], samples, sights, self._optics, self._metric, self._free,
                 rounds, ITERATIONS, ENOUGH, after,
             )  # fmt: skip
             self.heights[part], errors[part] = heights, after
@@ -153,12 +153,10 @@ def _samples(lens: Lens, looks: int) -> Samples:
     )  # fmt: skip
 
 
-def _slab(lens: Lens, cut_eye: FloatArray | None) -> Slab:
-    upright = np.array([0.0, 0.0, np.inf])
-    limit = math.cos(math.radians(lens.max_slope_deg))
-    return Slab(
-        upright if cut_eye is None else np.asarray(cut_eye, float), lens.thickness_mm, lens.gap_mm, lens.ior, limit
-    )
+def _optics(built: HeightField) -> Optics:
+    """What a height field refracts with; the eye of vertical cells makes no difference."""
+    eye = np.zeros(3) if built.eye_mm is None else np.asarray(built.eye_mm, float)
+    return optics_of(built.lens, Cut(eye, built.eye_mm is None))
 
 
 def _sights(scene: Scene, pixels: int) -> Sights:

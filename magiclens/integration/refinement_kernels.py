@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit, prange
 
 from magiclens.contract.artifacts import FloatArray, IntArray
-from magiclens.optics.eyes import land, lift
+from magiclens.optics.eyes import land, project, surface_point
 
 SLOPE_STEP, SPAN_STEP_MM = 1e-4, 0.02
 """Of the finite differences."""
@@ -63,16 +63,6 @@ class Sights(NamedTuple):
     display: FloatArray
 
 
-class Slab(NamedTuple):
-    """cut_eye: (3,), its z infinite for upright cells; cos_limit: cosine of the slope limit."""
-
-    cut_eye: FloatArray
-    depth: float
-    gap: float
-    ior: float
-    cos_limit: float
-
-
 class Metric(NamedTuple):
     """The cosine transform (k, k) of a facet's vertices, and the eigenvalues (k, k) of their Laplacian, per mm^2."""
 
@@ -90,30 +80,16 @@ class View(NamedTuple):
 
 
 @njit(cache=True)
-def _lift(u, v, height, slab):
-    """The surface point over (u, v)."""
-    if math.isinf(slab.cut_eye[2]):
-        return u, v, slab.depth + height
-    return lift(slab.cut_eye, u, v, height, slab.depth)
-
-
-@njit(cache=True)
-def _land(u, v, height, along_u, along_v, eye, slab):
+def _land(u, v, height, along_u, along_v, eye, optics):
     """Where the eye's ray through the surface over (u, v), with these slopes, meets the source; and whether it does."""
-    cut = slab.cut_eye
-    x, y, z = _lift(u, v, height, slab)
-    nz = 1.0 - (along_u * (u - cut[0]) + along_v * (v - cut[1])) / (cut[2] - slab.depth)
+    nz = 1.0
+    if not optics.vertical:
+        cut_eye = optics.eye
+        nz = 1.0 - (along_u * (u - cut_eye[0]) + along_v * (v - cut_eye[1])) / (cut_eye[2] - optics.depth)
     q = 1.0 / math.sqrt(along_u * along_u + along_v * along_v + nz * nz)
-    sx, sy, there = land(eye, x, y, z, -along_u * q, -along_v * q, nz * q, slab.gap, slab.ior)
-    return sx, sy, there and nz * q >= slab.cos_limit
-
-
-@njit(cache=True)
-def _place(u, v, height, eye, slab):
-    """Where on the reference plane the eye sees the surface over (u, v)."""
-    x, y, z = _lift(u, v, height, slab)
-    t = (eye[2] - slab.depth) / (eye[2] - z)
-    return eye[0] + (x - eye[0]) * t, eye[1] + (y - eye[1]) * t
+    point = surface_point(optics, u, v, height, optics.depth)
+    sx, sy, there = land(eye, point, (-along_u * q, -along_v * q, nz * q), optics)
+    return sx, sy, there and nz * q >= optics.cos_limit
 
 
 @njit(cache=True)
@@ -147,7 +123,7 @@ def _pull(forces, cell, out):
 
 
 @njit(cache=True)
-def _aim(heights, slopes, centre, eye, samples, slab, derive, rays):
+def _aim(heights, slopes, centre, eye, samples, optics, derive, rays):
     """rays (T, 10): every triangle's landing point and, if ``derive``, its derivatives along both slopes and both ways
     over the triangle, which hardly change. False if a ray does not arrive, or a triangle is steeper than allowed.
     """
@@ -158,14 +134,14 @@ def _aim(heights, slopes, centre, eye, samples, slab, derive, rays):
         u, v = centre[0] - 0.5 * m * cell + right, centre[1] + 0.5 * m * cell - down
         third = heights[i, j + 1] if t & 1 else heights[i + 1, j]
         h, a, b = (heights[i, j] + heights[i + 1, j + 1] + third) / 3, slopes[t, 0], slopes[t, 1]
-        x, y, there = _land(u, v, h, a, b, eye, slab)
+        x, y, there = _land(u, v, h, a, b, eye, optics)
         if not there:
             return False
         rays[t, 0], rays[t, 1] = x, y
         for k in range(4 if derive else 0):
             du, dv = (SPAN_STEP_MM if k == 2 else 0.0), (SPAN_STEP_MM if k == 3 else 0.0)
             da, db = (SLOPE_STEP if k == 0 else 0.0), (SLOPE_STEP if k == 1 else 0.0)
-            ax, ay, good = _land(u + du, v + dv, h + a * du + b * dv, a + da, b + db, eye, slab)
+            ax, ay, good = _land(u + du, v + dv, h + a * du + b * dv, a + da, b + db, eye, optics)
             step = SLOPE_STEP if k < 2 else SPAN_STEP_MM
             rays[t, 2 + 2 * k] = (ax - x) / step if good else 0.0
             rays[t, 3 + 2 * k] = (ay - y) / step if good else 0.0
@@ -217,7 +193,7 @@ def _wish(sights, e, px, py, out):
 
 
 @njit(cache=True)
-def _look(heights, centre, samples, sights, slab, derive, rays, light, view):
+def _look(heights, centre, samples, sights, optics, derive, rays, light, view):
     """Fill ``view``; returns the mean squared residual, infinite if the facet cannot be built so. See ``_aim``."""
     slopes, residuals, gradients = view
     side, last = samples.pixels, len(sights.display) - 1
@@ -228,14 +204,14 @@ def _look(heights, centre, samples, sights, slab, derive, rays, light, view):
     total, count = 0.0, 0
     for e in range(len(sights.eyes_mm)):
         eye = sights.eyes_mm[e]
-        if not _aim(heights, slopes, centre, eye, samples, slab, derive, rays[e]):
+        if not _aim(heights, slopes, centre, eye, samples, optics, derive, rays[e]):
             return np.inf
         _gather(samples, rays[e], sights, e, light, gradients)
         for p in range(side * side):
             right, down = (p % side + 0.5) * m / side, (p // side + 0.5) * m / side
             h = heights[int(down), int(right)]
             u, v = centre[0] + (right - 0.5 * m) * cell, centre[1] + (0.5 * m - down) * cell
-            px, py = _place(u, v, h, eye, slab)
+            px, py = project(eye, surface_point(optics, u, v, h, optics.depth), optics.depth)
             seen = _wish(sights, e, px, py, residuals[p])
             for c in range(sights.first[e], sights.first[e + 1]):
                 at = min(int(light[p, c] * each * last + 0.5), last)
@@ -336,7 +312,7 @@ def _step(view, samples, metric, free, damping, iterations, out):
 
 
 @njit(cache=True, parallel=True)
-def refine_facets(heights, centres, samples, sights, slab, metric, free, rounds, iterations, enough, errors):
+def refine_facets(heights, centres, samples, sights, optics, metric, free, rounds, iterations, enough, errors):
     """Lower what the facets show amiss, in place, by at most ``rounds`` steps.
 
     heights: (F, k, k) mm. centres: (F, 2) mm. free: (k, k), 0 for vertices that stay, 1 for others. iterations: of
@@ -351,14 +327,14 @@ def refine_facets(heights, centres, samples, sights, slab, metric, free, rounds,
         gradients = np.zeros((2, pairs, 2, channels), np.float32)
         views = [View(slopes[n], residuals[n], gradients[n]) for n in range(2)]
         step, trial, now = np.zeros((k, k)), heights[f].copy(), 0
-        error = _look(trial, centres[f], samples, sights, slab, True, rays, light, views[0])
+        error = _look(trial, centres[f], samples, sights, optics, True, rays, light, views[0])
         damping = DAMPING
         for _ in range(rounds):
             if not 0.0 < error < np.inf:
                 break
             _step(views[now], samples, metric, free, damping, iterations, step)
             trial[:] = heights[f] + step
-            less = _look(trial, centres[f], samples, sights, slab, False, rays, light, views[1 - now])
+            less = _look(trial, centres[f], samples, sights, optics, False, rays, light, views[1 - now])
             if less < error:
                 heights[f] = trial
                 gain, error, now, damping = error - less, less, 1 - now, max(damping / 3, LEAST_DAMPING)

@@ -12,10 +12,12 @@ import numpy as np
 from magiclens.contract.artifacts import BoolArray, Candidates, FloatArray, IntArray, Lens, Scene
 from magiclens.contract.errors import InputError
 from magiclens.geometry.facets import edge_models
-from magiclens.matching.driver import flat_scale, optics
+from magiclens.matching.driver import flat_scale
 from magiclens.matching.realisable import realisable
-from magiclens.matching.shuffling import shuffle
+from magiclens.matching.shuffling import REST, shuffle
 from magiclens.matching.strength import injective_maps_bits
+from magiclens.optics.medium import image_optics_of
+from magiclens.optics.walls import EnergyTerms
 
 if TYPE_CHECKING:
     from magiclens.matching.dart_throwing import DartThrowing
@@ -75,7 +77,7 @@ class Reach:
         places = regions(lattice, lens.facets, q, numbers)
         usable = realisable(
             lens.facet_centres_mm().reshape(-1, 2) * (1, -1), offsets, maps, lens.pitch_mm,
-            *optics(scene), lens.cells == "vertical", lens.relief_mm,
+            image_optics_of(scene), lens.relief_mm,
         )  # fmt: skip
         free = np.append(unreserved(scene, lattice).ravel(), False)
         return cls(offsets, maps, usable & free[places][..., None], places)
@@ -217,14 +219,14 @@ def redraw(reach: Reach, drawn: IntArray, scene: Scene, count: int, sweeps: int,
     hand = np.argsort(luck, axis=1, kind="stable")[:, :HAND]
     offsets, maps, usable = reach.labels(hand)
     usable = usable.reshape(n, n, -1)
-    profiles, drifts = edge_models(scene, offsets.reshape(n, n, -1, 2), maps.reshape(n, n, -1, 3))
+    edges = edge_models(scene, offsets.reshape(n, n, -1, 2), maps.reshape(n, n, -1, 3))
     places = np.repeat(np.take_along_axis(reach.places, hand, 1), 4, axis=1).reshape(n, n, -1)
     chosen = usable.argmax(axis=-1)
     owner = np.full(count + 1, -1)
     owner[reach.places[np.arange(n * n), drawn]] = np.arange(n * n)
     shuffle(
-        chosen, owner, places, usable, profiles, drifts,
+        chosen, owner, places, usable, edges,
         rng.permuted(np.broadcast_to(np.arange(n * n), (sweeps, n * n)), axis=1), rng.random((sweeps, n * n)),
-        TEMPERATURE, 1.0, scene.lens.pitch_mm, STEP_WEIGHT, scene.lens.relief_mm,
+        TEMPERATURE, EnergyTerms(1.0, scene.lens.pitch_mm, STEP_WEIGHT, REST), scene.lens.relief_mm,
     )  # fmt: skip
     return np.take_along_axis(hand, chosen.reshape(-1, 1) // 4, 1)[:, 0]

@@ -16,6 +16,7 @@ from magiclens.matching.channels import Channels, stack_channels
 from magiclens.matching.judge import judge
 from magiclens.matching.polish import blur_levels, polish
 from magiclens.matching.search import search
+from magiclens.optics.medium import image_optics_of
 
 if TYPE_CHECKING:
     from magiclens.matching.exhaustive import Exhaustive
@@ -78,13 +79,6 @@ class Pool:
         )
 
 
-def optics(scene: Scene) -> tuple[FloatArray, float, float, float, float]:
-    """What the kernels need to know: eye (y down), depth, gap, index, cosine of the slope limit."""
-    lens = scene.lens
-    eye = scene.reference_eye_mm * (1, -1, 1)
-    return eye, lens.thickness_mm, lens.gap_mm, lens.ior, math.cos(math.radians(lens.max_slope_deg))
-
-
 def flat_scale(scene: Scene) -> float:
     """How many mm of the source the eye sees per mm of a flat facet: a little over 1, by perspective."""
     lens = scene.lens
@@ -124,7 +118,7 @@ def finish(
     polish(
         _channels_last(tiles), _channels_last(levels), np.array(widths),
         1 / channels.source_px_mm, centres, lens.pitch_mm, window, step, options.polish, 10, options.maps == "scale",
-        *optics(scene), pool.errors, pool.offsets, pool.maps,
+        image_optics_of(scene), pool.errors, pool.offsets, pool.maps,
     )
     pool.drop(options.acceptance)
     judge(
@@ -172,7 +166,8 @@ def search_all(
             samples, means = rasters.build(columns, *taps, x, y)
             search(
                 tiles, blocks, samples, means, sx, sy, x.spacing_mm, y.spacing_mm, x.count, y.count, x.skip, y.skip,
-                centres, window, step, pool.buckets, symmetric, *optics(scene), pool.errors, pool.offsets, pool.maps,
+                centres, window, step, pool.buckets, symmetric, image_optics_of(scene),
+                pool.errors, pool.offsets, pool.maps,
             )
         progress((done + 1) / len(scales))
 

@@ -1,6 +1,6 @@
 """Kernels that match several eyes at once: search, polishing and judging with exact refraction for every eye (4.6).
 
-A candidate is what the reference eye sees; ``optics.eyes.sight`` says what the others then see, and where in their
+A candidate is what the reference eye sees; ``optics.eyes.linearise`` says what the others then see, and where in their
 pictures. The errors of all views are averaged. Coordinates are those of images (y down); arrays of candidates are
 those of ``search.search``. Views that share a source share its rasters: ``which[v]`` names the source of view v.
 """
@@ -14,7 +14,7 @@ from numba import njit, prange
 
 from magiclens.matching.polish import PARAMETERS, sample, solve
 from magiclens.matching.search import distance_term, reachable
-from magiclens.optics.eyes import FLAT, LANDING, PLACE, SHEAR, SIGHT, SPAN, local_map, sight
+from magiclens.optics.eyes import linearise, local_map, shift, unknown_first_order
 
 BLOCKS = 4
 """The search compares tiles of BLOCKS x BLOCKS means."""
@@ -33,16 +33,16 @@ def _cut_tile(targets, cx, cy, pitch, size, seen, tile):
         for c in range(tile.shape[1]):
             for by in range(BLOCKS):
                 for bx in range(BLOCKS):
-                    x = (seen[v, PLACE] + ((bx + 0.5) / BLOCKS - 0.5) * pitch) * per_mm + half
-                    y = (seen[v, PLACE + 1] + ((by + 0.5) / BLOCKS - 0.5) * pitch) * per_mm + half
+                    x = (seen.position[v, 0] + ((bx + 0.5) / BLOCKS - 0.5) * pitch) * per_mm + half
+                    y = (seen.position[v, 1] + ((by + 0.5) / BLOCKS - 0.5) * pitch) * per_mm + half
                     tile[v, c, by, bx] = sample(targets[v, c], x, y)[0]
 
 
 @njit(cache=True)
-def _inside(seen, g, half_pitch, half_source):
+def _inside(seen, v, g, half_pitch, half_source):
     """Does the whole patch lie on the source?"""
     wide, tall = half_pitch * (abs(g[0]) + abs(g[1])), half_pitch * (abs(g[2]) + abs(g[3]))
-    return abs(seen[LANDING]) + wide <= half_source and abs(seen[LANDING + 1]) + tall <= half_source
+    return abs(seen.landing[v, 0]) + wide <= half_source and abs(seen.landing[v, 1]) + tall <= half_source
 
 
 # not plain fastmath: the limit is infinite until a bucket has a candidate
@@ -59,8 +59,8 @@ def _difference(tile, images, which, per_mm, pitch, seen, maps, limit):
             w = (by + 0.5 - 0.5 * BLOCKS) * cell
             for bx in range(BLOCKS):
                 u = (bx + 0.5 - 0.5 * BLOCKS) * cell
-                x = int((seen[v, LANDING] + m[0] * u + m[1] * w) * per_mm + half)
-                y = int((seen[v, LANDING + 1] + m[2] * u + m[3] * w) * per_mm + half)
+                x = int((seen.landing[v, 0] + m[0] * u + m[1] * w) * per_mm + half)
+                y = int((seen.landing[v, 1] + m[2] * u + m[3] * w) * per_mm + half)
                 for c in range(channels):
                     d = tile[v, c, by, bx] - image[c, y, x]
                     total += d * d
@@ -72,7 +72,7 @@ def _difference(tile, images, which, per_mm, pitch, seen, maps, limit):
 @njit(cache=True, parallel=True)
 def search(
     targets, images, which, scales, per_mm, centres, heights, pitch, size, window, step, buckets, mirrored,
-    eyes, cut_eye, depth, gap, ior, cos_limit, errors, offsets, maps
+    eyes, optics, errors, offsets, maps
 ):
     """Try every offset and every map of the lattice for every facet; keep the best per bucket of the offset window.
 
@@ -86,11 +86,11 @@ def search(
     half = 0.5 * pitch
     for f in prange(len(centres)):
         tile = np.zeros((views, channels, BLOCKS, BLOCKS), np.float32)
-        seen, g, m = np.zeros((views, SIGHT)), np.zeros((views, 4)), np.zeros(3)
+        seen, g, m = unknown_first_order(views), np.zeros((views, 4)), np.zeros(3)
         cx, cy = centres[f, 0], centres[f, 1]
         lit = True
         for v in range(views):
-            lit &= sight(eyes[v], cut_eye, cx, cy, heights[f], 0.0, 0.0, depth, gap, ior, True, seen[v])
+            lit &= linearise(eyes[v], (cx, cy, heights[f]), (0.0, 0.0), optics.eye, optics, True, seen, v)
         if not lit:
             continue
         _cut_tile(targets, cx, cy, pitch, size, seen, tile)
@@ -102,12 +102,9 @@ def search(
                     lit = True
                 for v in range(views):
                     if i % REFRESH == 0:
-                        lit &= sight(
-                            eyes[v], cut_eye, cx, cy, heights[f], rx, ry, depth, gap, ior, False, seen[v]
-                        )
-                    else:  # a few steps along SPAN, whose change over them is tiny
-                        seen[v, LANDING] += seen[v, SPAN] * step
-                        seen[v, LANDING + 1] += seen[v, SPAN + 2] * step
+                        lit &= linearise(eyes[v], (cx, cy, heights[f]), (rx, ry), optics.eye, optics, False, seen, v)
+                    else:  # a few steps along the derivative by the source point, whose change over them is tiny
+                        shift(seen, v, step)
                 if not lit:
                     continue
                 kx = min(int((rx + window) / (2.0 * window) * buckets), buckets - 1)
@@ -120,14 +117,14 @@ def search(
                         m[2] = -scales[pair, 1] if sign & 2 else scales[pair, 1]
                         ok = True
                         for v in range(views):
-                            local_map(seen[v], m, g[v])
-                            ok &= _inside(seen[v], g[v], half, half_source)
+                            local_map(seen, v, m, g[v])
+                            ok &= _inside(seen, v, g[v], half, half_source)
                         if not ok:
                             continue
                         limit = (errors[f, k] - far) / norm
                         total = _difference(tile, images[pair], which, per_mm, pitch, seen, g, limit)
                         if total < limit and reachable(
-                            cx, cy, rx, ry, m[0], 0.0, m[2], half, cut_eye, depth, gap, ior, cos_limit
+                            (cx, cy), (rx, ry), (m[0], 0.0, m[2]), half, optics
                         ):
                             errors[f, k] = total * norm + far
                             offsets[f, k, 0], offsets[f, k, 1] = rx, ry
@@ -135,13 +132,13 @@ def search(
 
 
 @njit(cache=True)
-def _look(eyes, cut_eye, cx, cy, height, p, pitch, half_source, depth, gap, ior, seen, g):
-    """Fill the sights (V, SIGHT) and local maps (V, 4) of a candidate; False if an eye misses the source."""
+def _look(eyes, facet, p, half_pitch, half_source, optics, seen, g):
+    """Fill the first order and local maps (V, 4) of a candidate; False if an eye misses the source."""
     for v in range(len(eyes)):
-        if not sight(eyes[v], cut_eye, cx, cy, height, p[0], p[1], depth, gap, ior, True, seen[v]):
+        if not linearise(eyes[v], facet, (p[0], p[1]), optics.eye, optics, True, seen, v):
             return False
-        local_map(seen[v], p[2:], g[v])
-        if not _inside(seen[v], g[v], 0.5 * pitch, half_source):
+        local_map(seen, v, p[2:], g[v])
+        if not _inside(seen, v, g[v], half_pitch, half_source):
             return False
     return True
 
@@ -160,7 +157,8 @@ def _normal_equations(targets, levels, widths, which, per_mm, size, pitch, pixel
         jtr[:] = 0.0
     total = np.float32(0.0)
     for v in range(views):
-        s, m = seen[v], g[v]
+        m, landing, by_source = g[v], seen.landing[v], seen.by_source[v]
+        position, spread = seen.position[v], seen.position_by_facet[v]
         footprint = px * math.sqrt(abs(m[0] * m[3] - m[1] * m[2]))
         level = 0
         while level + 1 < len(widths) and widths[level + 1] < 1.4 * footprint:
@@ -169,17 +167,18 @@ def _normal_equations(targets, levels, widths, which, per_mm, size, pitch, pixel
             w = (ky - 0.5 * (pixels - 1)) * px
             for kx in range(pixels):
                 u = (kx - 0.5 * (pixels - 1)) * px
-                x = (s[LANDING] + m[0] * u + m[1] * w) * per_mm + half
-                y = (s[LANDING + 1] + m[2] * u + m[3] * w) * per_mm + half
-                tx = (s[PLACE] + s[SHEAR] * u + s[SHEAR + 1] * w) * target_per_mm + target_half
-                ty = (s[PLACE + 1] + s[SHEAR + 2] * u + s[SHEAR + 3] * w) * target_per_mm + target_half
+                x = (landing[0] + m[0] * u + m[1] * w) * per_mm + half
+                y = (landing[1] + m[2] * u + m[3] * w) * per_mm + half
+                tx = (position[0] + spread[0, 0] * u + spread[0, 1] * w) * target_per_mm + target_half
+                ty = (position[1] + spread[1, 0] * u + spread[1, 1] * w) * target_per_mm + target_half
                 for c in range(channels):
                     value, gx, gy = sample(levels[level, which[v], c], x, y)
                     r = value - sample(targets[v, c], tx, ty)[0]
                     total += r * r
                     if derive:
                         # along the reference eye's source point, which the parameters move
-                        hx, hy = gx * s[SPAN] + gy * s[SPAN + 2], gx * s[SPAN + 1] + gy * s[SPAN + 3]
+                        hx = gx * by_source[0, 0] + gy * by_source[1, 0]
+                        hy = gx * by_source[0, 1] + gy * by_source[1, 1]
                         j[0], j[1] = hx, hy
                         j[2], j[3], j[4] = hx * u, hx * w + hy * u, hy * w
                         for a in range(PARAMETERS):
@@ -192,7 +191,7 @@ def _normal_equations(targets, levels, widths, which, per_mm, size, pitch, pixel
 @njit(cache=True, parallel=True)
 def polish(
     targets, levels, widths, which, per_mm, centres, heights, pitch, size, pixels, window, step_mm, most, iterations,
-    isotropic, eyes, cut_eye, depth, gap, ior, cos_limit, errors, offsets, maps
+    isotropic, eyes, optics, errors, offsets, maps
 ):
     """Polish the first ``most`` candidates of every facet in place by Levenberg-Marquardt; all get their new error.
 
@@ -203,13 +202,13 @@ def polish(
     for f in prange(len(centres)):
         jtj, jtr = np.zeros((PARAMETERS, PARAMETERS), np.float32), np.zeros(PARAMETERS, np.float32)
         step, p, q = np.zeros(PARAMETERS), np.zeros(PARAMETERS), np.zeros(PARAMETERS)
-        seen, g = np.zeros((views, SIGHT)), np.zeros((views, 4))
+        seen, g = unknown_first_order(views), np.zeros((views, 4))
         cx, cy, h = centres[f, 0], centres[f, 1], heights[f]
         for k in range(errors.shape[1]):
             if not np.isfinite(errors[f, k]):
                 continue
             p[:2], p[2:] = offsets[f, k], maps[f, k]
-            if not _look(eyes, cut_eye, cx, cy, h, p, pitch, half_source, depth, gap, ior, seen, g):
+            if not _look(eyes, (cx, cy, h), p, 0.5 * pitch, half_source, optics, seen, g):
                 errors[f, k] = np.inf
                 continue
             damping = 1e-2
@@ -223,9 +222,9 @@ def polish(
                 if (
                     not (isotropic and q[2] <= 0.0) and abs(q[0]) <= window and abs(q[1]) <= window
                     and reachable(
-                        cx, cy, q[0], q[1], q[2], q[3], q[4], 0.5 * pitch, cut_eye, depth, gap, ior, cos_limit
+                        (cx, cy), (q[0], q[1]), (q[2], q[3], q[4]), 0.5 * pitch, optics
                     )
-                    and _look(eyes, cut_eye, cx, cy, h, q, pitch, half_source, depth, gap, ior, seen, g)
+                    and _look(eyes, (cx, cy, h), q, 0.5 * pitch, half_source, optics, seen, g)
                 ):
                     trial = _normal_equations(
                         targets, levels, widths, which, per_mm, size, pitch, pixels, seen, g, jtj, jtr, False
@@ -250,7 +249,7 @@ def polish(
 @njit(cache=True, parallel=True, fastmath={"contract", "reassoc", "arcp"})
 def judge(
     targets, sources, which, per_mm, centres, heights, pitch, size, pixels, microfacets, window, step, table,
-    eyes, cut_eye, depth, gap, ior, errors, offsets, maps
+    eyes, optics, errors, offsets, maps
 ):
     """The last word on candidates, as of ``judge.judge``: sources (S, C, H, W) in linear light, staircases and all."""
     views, channels = targets.shape[0], targets.shape[1]
@@ -261,21 +260,20 @@ def judge(
     scale = (len(table) - 1) / (SAMPLES * SAMPLES)
     cell, sub, px = pitch / microfacets, pitch / (pixels * SAMPLES), pitch / pixels
     for f in prange(len(centres)):
-        seen, g = np.zeros((views, SIGHT)), np.zeros((views, 4))
+        seen, g = unknown_first_order(views), np.zeros((views, 4))
         light, p = np.zeros(channels, np.float32), np.zeros(PARAMETERS)
         for k in range(errors.shape[1]):
             if not np.isfinite(errors[f, k]):
                 continue
             p[:2], p[2:] = offsets[f, k], maps[f, k]
-            if not _look(
-                eyes, cut_eye, centres[f, 0], centres[f, 1], heights[f], p, pitch, np.inf,
-                depth, gap, ior, seen, g
-            ):  # fmt: skip
+            facet = (centres[f, 0], centres[f, 1], heights[f])
+            if not _look(eyes, facet, p, 0.5 * pitch, np.inf, optics, seen, g):
                 errors[f, k] = np.inf
                 continue
             total = 0.0
             for v in range(views):
-                s, m, source = seen[v], g[v], sources[which[v]]
+                m, source, landing, flat = g[v], sources[which[v]], seen.landing[v], seen.flat_by_facet[v]
+                position, spread = seen.position[v], seen.position_by_facet[v]
                 for pixel in range(pixels * pixels):
                     light[:] = 0.0
                     for n in range(SAMPLES * SAMPLES):
@@ -284,8 +282,8 @@ def judge(
                         a, b = (math.floor(u / cell) + 0.5) * cell, (math.floor(w / cell) + 0.5) * cell
                         du, dw = u - a, w - b
                         a, b = a - 0.5 * pitch, b - 0.5 * pitch
-                        x = s[LANDING] + m[0] * a + m[1] * b + s[FLAT] * du + s[FLAT + 1] * dw
-                        y = s[LANDING + 1] + m[2] * a + m[3] * b + s[FLAT + 2] * du + s[FLAT + 3] * dw
+                        x = landing[0] + m[0] * a + m[1] * b + flat[0, 0] * du + flat[0, 1] * dw
+                        y = landing[1] + m[2] * a + m[3] * b + flat[1, 0] * du + flat[1, 1] * dw
                         x, y = x * per_mm + half, y * per_mm + half
                         if abs(x - half) > half + 0.5 or abs(y - half) > half + 0.5:
                             continue  # beside the source it is dark
@@ -297,8 +295,8 @@ def judge(
                             low = source[c, iy + 1, ix] + (source[c, iy + 1, ix + 1] - source[c, iy + 1, ix]) * fx
                             light[c] += top + (low - top) * fy
                     u, w = (pixel % pixels + 0.5) * px - 0.5 * pitch, (pixel // pixels + 0.5) * px - 0.5 * pitch
-                    tx = (s[PLACE] + s[SHEAR] * u + s[SHEAR + 1] * w) * target_per_mm + target_half
-                    ty = (s[PLACE + 1] + s[SHEAR + 2] * u + s[SHEAR + 3] * w) * target_per_mm + target_half
+                    tx = (position[0] + spread[0, 0] * u + spread[0, 1] * w) * target_per_mm + target_half
+                    ty = (position[1] + spread[1, 0] * u + spread[1, 1] * w) * target_per_mm + target_half
                     for c in range(channels):
                         d = table[int(light[c] * scale + 0.5)] - sample(targets[v, c], tx, ty)[0]
                         total += d * d

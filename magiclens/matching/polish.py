@@ -162,7 +162,7 @@ def solve(jtj, jtr, damping, per_mm, isotropic, step):
 @njit(cache=True, parallel=True)
 def polish(
     tiles, levels, widths, per_mm, centres, pitch, window, step_mm, most, iterations, isotropic,
-    eye, depth, gap, ior, cos_limit, errors, offsets, maps
+    optics, errors, offsets, maps
 ):
     """Polish the first ``most`` candidates of every facet in place; the arrays are those of ``search.search``.
 
@@ -191,7 +191,7 @@ def polish(
                 inside = (
                     not (isotropic and q[2] <= 0.0) and abs(q[0]) <= window and abs(q[1]) <= window
                     and abs(cx + q[0]) + spread_x <= edge and abs(cy + q[1]) + spread_y <= edge
-                    and reachable(cx, cy, q[0], q[1], q[2], q[3], q[4], 0.5 * pitch, eye, depth, gap, ior, cos_limit)
+                    and reachable((cx, cy), (q[0], q[1]), (q[2], q[3], q[4]), 0.5 * pitch, optics)
                 )
                 other, trial = 1 - now, np.inf
                 if inside:

@@ -13,7 +13,7 @@ ROUNDS = 4
 
 
 @njit(cache=True, parallel=True)
-def realisable(centres, offsets, maps, pitch, eye, depth, gap, ior, cos_limit, vertical, relief):
+def realisable(centres, offsets, maps, pitch, optics, relief):
     """(F, D^2, 4): can a facet show its neighbouring sub-regions with each map, below the slope limit and the relief?
 
     centres: (F, 2), offsets: (D^2, 2), maps: (4, 2) xx and yy; mm, image frame (y down).
@@ -25,31 +25,28 @@ def realisable(centres, offsets, maps, pitch, eye, depth, gap, ior, cos_limit, v
             rx, ry = offsets[k, 0], offsets[k, 1]
             for s in range(4):
                 out[f, k, s] = reachable(
-                    cx, cy, rx, ry, maps[s, 0], 0.0, maps[s, 1], 0.5 * pitch, eye, depth, gap, ior, cos_limit
-                ) and relief >= _tallest(
-                    cx, cy, rx, ry, maps[s, 0], maps[s, 1], 0.5 * pitch, eye, depth, gap, ior, vertical
-                )
+                    (cx, cy), (rx, ry), (maps[s, 0], 0.0, maps[s, 1]), 0.5 * pitch, optics
+                ) and relief >= _tallest((cx, cy), (rx, ry), (maps[s, 0], maps[s, 1]), 0.5 * pitch, optics)
     return out
 
 
 @njit(cache=True)
-def _tallest(cx, cy, rx, ry, xx, yy, half, eye, depth, gap, ior, vertical):
+def _tallest(centre, offset, m, half, optics):
     """How far the corners of a lenslet rise or fall from its mean, mm; its slope is taken to be linear to the corners.
 
     Where the surface lies lower, it must be steeper: the heights at which slopes are taken are iterated.
     """
-    far = eye[2] - depth
+    (cx, cy), (rx, ry), (xx, yy), eye = centre, offset, m, optics.eye
+    far = eye[2] - optics.depth
     slopes, rises = np.zeros((5, 2)), np.zeros(5)
     for _ in range(ROUNDS):
         for k in range(5):
             px = 0.0 if k == 4 else (half if k & 1 else -half)
             py = 0.0 if k == 4 else (half if k & 2 else -half)
-            x, y, z = cx + px, cy + py, depth + rises[k]
-            lean_x, lean_y = (0.0, 0.0) if vertical else ((x - eye[0]) / far, (y - eye[1]) / far)
+            x, y, z = cx + px, cy + py, optics.depth + rises[k]
+            lean_x, lean_y = (0.0, 0.0) if optics.vertical else ((x - eye[0]) / far, (y - eye[1]) / far)
             sx, sy = x + rx + (xx - 1.0) * px, y + ry + (yy - 1.0) * py
-            nx, ny, nz = facet_normal(
-                eye[0], eye[1], eye[2], x - lean_x * rises[k], y - lean_y * rises[k], z, sx, sy, gap, ior
-            )
+            nx, ny, nz = facet_normal(eye, (x - lean_x * rises[k], y - lean_y * rises[k], z), (sx, sy), optics)
             along = nx * lean_x + ny * lean_y - nz
             slopes[k, 0], slopes[k, 1] = nx / along, ny / along
         for k in range(4):

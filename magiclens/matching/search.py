@@ -17,20 +17,26 @@ from magiclens.optics.refraction import facet_normal
 
 
 @njit(cache=True)
-def reachable(cx, cy, rx, ry, xx, xy, yy, half, eye, depth, gap, ior, cos_limit):
+def reachable(centre, offset, m, half, optics):
     """Can a facet show this patch, facing the eye and below the slope limit? Checked at its centre and four corners.
 
-    (cx, cy): facet centre, (rx, ry): offset, (xx, xy, yy): map, half: half the pitch; mm, image frame (y down).
-    eye: (x, y down, z). depth: of the reference plane above the slab's bottom. cos_limit: cosine of the slope limit.
+    Args:
+        centre: x, y of the facet, mm, image frame (y down).
+        offset: x, y of the patch from the facet, mm.
+        m: map of the patch (xx, xy, yy).
+        half: half the pitch, mm.
+        optics: ``Optics`` in the image frame.
     """
+    (cx, cy), (rx, ry), (xx, xy, yy) = centre, offset, m
+    eye = optics.eye
     for k in range(5):
         px = 0.0 if k == 4 else (half if k & 1 else -half)
         py = 0.0 if k == 4 else (half if k & 2 else -half)
         sx, sy = cx + rx + xx * px + xy * py, cy + ry + xy * px + yy * py
         x, y = cx + px, cy + py
-        n = facet_normal(eye[0], eye[1], eye[2], x, y, depth, sx, sy, gap, ior)
-        faces_eye = n[0] * (eye[0] - x) + n[1] * (eye[1] - y) + n[2] * (eye[2] - depth) > 0.0
-        if n[2] < cos_limit or not faces_eye:
+        n = facet_normal(eye, (x, y, optics.depth), (sx, sy), optics)
+        faces_eye = n[0] * (eye[0] - x) + n[1] * (eye[1] - y) + n[2] * (eye[2] - optics.depth) > 0.0
+        if n[2] < optics.cos_limit or not faces_eye:
             return False
     return True
 
@@ -98,7 +104,7 @@ def _span(centre, window, spacing, mid, last, stride):
 @njit(cache=True, parallel=True)
 def search(
     tiles, blocks, raster, means, scale_x, scale_y, spacing_x, spacing_y, count_x, count_y, skip_x, skip_y,
-    centres, window, step, buckets, mirrored, eye, depth, gap, ior, cos_limit, errors, offsets, maps
+    centres, window, step, buckets, mirrored, optics, errors, offsets, maps
 ):
     """Try every offset of one raster for every facet; keep the best per bucket of the offset window.
 
@@ -150,7 +156,7 @@ def search(
                         ssd = _difference(tile, raster, phase_y, at_y, phase_x, at_x, n, limit - far) + far
                         if ssd >= limit:
                             continue
-                        if reachable(cx, cy, rx, ry, xx, 0.0, yy, half, eye, depth, gap, ior, cos_limit):
+                        if reachable((cx, cy), (rx, ry), (xx, 0.0, yy), half, optics):
                             limit = ssd
                             errors[f, k] = ssd * norm
                             offsets[f, k, 0], offsets[f, k, 1] = rx, ry

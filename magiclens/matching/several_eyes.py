@@ -14,9 +14,10 @@ from magiclens.contract.artifacts import Candidates, FloatArray, IntArray, Scene
 from magiclens.contract.stages import Progress
 from magiclens.images import resize, to_display
 from magiclens.matching import joint
-from magiclens.matching.driver import Pool, optics, resolved_scales, seen_grain, unreached
+from magiclens.matching.driver import Pool, resolved_scales, seen_grain, unreached
 from magiclens.matching.polish import blur_levels, box_blur
 from magiclens.matching.raster import DISPLAY
+from magiclens.optics.medium import image_optics_of
 
 if TYPE_CHECKING:
     from magiclens.matching.multi_view import MultiView
@@ -75,7 +76,7 @@ def match(options: MultiView, scene: Scene, heights: FloatArray, progress: Progr
     images = np.stack([averaged(eyes.sources, [(s * block + grain) / source_px for s in pair]) for pair in pairs])
     joint.search(
         targets, images, eyes.which, np.array(pairs), 1 / source_px, *_places(scene, heights), lens.pitch_mm,
-        lens.size_mm, window, step, pool.buckets, symmetric, eyes.positions_mm, *optics(scene), pool.errors,
+        lens.size_mm, window, step, pool.buckets, symmetric, eyes.positions_mm, image_optics_of(scene), pool.errors,
         pool.offsets, pool.maps,
     )
     progress(0.7)
@@ -106,17 +107,17 @@ def _finish(
     per_mm = eyes.sources.shape[2] / lens.source_size_mm
     fine = eyes.rasters(2 * lens.facets * options.pixels)
     levels = np.stack([blur_levels(s, 1 / per_mm, seen_grain(scene), WIDTHS_MM) for s in eyes.sources], axis=1)
-    places, cut = _places(scene, heights), optics(scene)
+    places, optics = _places(scene, heights), image_optics_of(scene)
     joint.polish(
         fine, levels, np.array(WIDTHS_MM), eyes.which, per_mm, *places, lens.pitch_mm, lens.size_mm,
-        2 * options.pixels, window, step, options.polish, 10, options.maps == "scale", eyes.positions_mm, *cut,
+        2 * options.pixels, window, step, options.polish, 10, options.maps == "scale", eyes.positions_mm, optics,
         pool.errors, pool.offsets, pool.maps,
     )
     progress(0.85)
     pool.drop(options.acceptance)
     joint.judge(
         fine, eyes.sources, eyes.which, per_mm, *places, lens.pitch_mm, lens.size_mm, 2 * options.pixels,
-        lens.microfacets, window, step, DISPLAY, eyes.positions_mm, *cut[:-1],
+        lens.microfacets, window, step, DISPLAY, eyes.positions_mm, optics,
         pool.errors, pool.offsets, pool.maps,
     )
     if known is not None:

@@ -5,38 +5,37 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from magiclens.optics.walls import settle, surroundings
+from magiclens.optics.walls import Edges, best_height, surroundings
 
 REST = 1e-9
 """Pulls facets to the reference plane where their height makes no difference."""
 
 
 @njit(cache=True)
-def shuffle(chosen, owner, places, usable, profiles, drifts, order, dice, temperature, loss, pitch, even, relief):
+def shuffle(chosen, owner, places, usable, edges, order, dice, temperature, terms, relief):
     """Sweeps over all facets; each draws anew among the labels whose place is free or its own, in place.
 
     chosen: (N, N) label of each facet. owner: (P,) facet that has a place, or -1. places: (N, N, K) and usable:
-    (N, N, K): a label's place, and whether it may be taken. profiles and drifts: (N, N, K, 4, Q), loss, pitch, even: as
-    in ``optics.walls``. order: (S, N * N) and dice: (S, N * N): facets in turn, and luck in [0, 1). A label is drawn
+    (N, N, K): a label's place, and whether it may be taken. edges: (N, N, K, 4, Q), and terms: as in
+    ``optics.walls``. order: (S, N * N) and dice: (S, N * N): facets in turn, and luck in [0, 1). A label is drawn
     with probability proportional to exp(-E / temperature), E its energy at its best height.
     """
     n = len(chosen)
     heights = np.zeros((n, n))
-    around = np.zeros((4, profiles.shape[4] + 1, 2))
+    around = np.zeros((4, edges.profiles.shape[4] + 1, 2))
     energy, level = np.zeros(places.shape[2]), np.zeros(places.shape[2])
     for s in range(len(order)):
         for t in range(n * n):
             f = order[s, t]
             i, j = f // n, f % n
-            surroundings(i, j, chosen, heights, profiles, drifts, around)
+            surroundings(i, j, chosen, heights, edges, around)
             for k in range(len(energy)):
                 energy[k] = np.inf
-                reach = relief - np.abs(profiles[i, j, k]).max()
+                own = Edges(edges.profiles[i, j, k], edges.drifts[i, j, k])
+                reach = relief - np.abs(own.profiles).max()
                 taken = owner[places[i, j, k]] >= 0 and owner[places[i, j, k]] != f
                 if usable[i, j, k] and not taken and reach >= 0.0:
-                    level[k], energy[k] = settle(
-                        profiles[i, j, k], drifts[i, j, k], around, loss, pitch, even, REST, -reach, reach
-                    )
+                    level[k], energy[k] = best_height(own, around, terms, -reach, reach)
             if np.isfinite(energy.min()):
                 k = _pick(energy, temperature, dice[s, t])
                 owner[places[i, j, chosen[i, j]]] = -1

@@ -2,136 +2,213 @@
 
 A lenslet is given by the patch that the *reference eye* shall see: ``s(q) = c + R + M (q - c)`` where its ray crosses
 the reference plane at q, for the facet centred at c. That fixes the normal at every point, and with it what every other
-eye sees. Points are named by q, whether the cells stand along this eye's rays or upright. Horizontal axes may be
-mirrored (images run y down): Snell's law does not mind.
+eye sees. Points are named by q, whether the cells are cut along this eye's rays or vertically. Horizontal axes may be
+mirrored (images run y down): Snell's law does not change.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
+from magiclens.contract.artifacts import FloatArray
+from magiclens.optics.medium import Cut
 from magiclens.optics.refraction import facet_normal, refract
 
-STEP_MM = 0.02
-"""Of the finite differences."""
+_STEP_MM = 0.02
+"""Step of the finite differences, mm."""
 
-LANDING, MAP, SPAN, PLACE, SHEAR, FLAT, SIGHT = 0, 2, 6, 10, 12, 16, 20
-"""Where in a sight: landing point (2), its derivative along the facet (2 x 2, row-major) and along the reference eye's
-source point (2 x 2), the facet's place in the picture (2), its derivative (2 x 2), the derivative of the landing point
-along a flat facet (2 x 2); and the length of it all."""
+
+class FirstOrder(NamedTuple):
+    """What eyes see through facets, to first order; one row per eye or facet, float64, mm.
+
+    A lenslet with map M shows an eye the source point ``landing + (by_facet + by_source M) p`` at ``position +
+    position_by_facet p`` of its picture, where p is a point's distance from the facet's centre as the reference eye
+    sees it. Within a flat micro-facet the source point moves by ``flat_by_facet p`` instead.
+
+    Parallel kernels must not assign to its arrays themselves, only through functions: numba takes what is written to a
+    tuple's field for unused, and drops it.
+
+    Args:
+        landing: (R, 2) source point that the eye sees at the facet's centre.
+        by_facet: (R, 2, 2) derivative of the landing point along the facet, its wanted source point held.
+        by_source: (R, 2, 2) derivative of the landing point along the wanted source point.
+        position: (R, 2) where on the reference plane the eye sees the facet's centre.
+        position_by_facet: (R, 2, 2) derivative of the position along the facet.
+        flat_by_facet: (R, 2, 2) derivative of the landing point along a facet that is flat.
+    """
+
+    landing: FloatArray
+    by_facet: FloatArray
+    by_source: FloatArray
+    position: FloatArray
+    position_by_facet: FloatArray
+    flat_by_facet: FloatArray
 
 
 @njit(cache=True)
-def lift(eye, x, y, height, depth):
-    """The surface point at ``height`` over (x, y) of the reference plane, along the eye's ray."""
+def unknown_first_order(rows):
+    """A ``FirstOrder`` of so many rows, all nan."""
+    return FirstOrder(
+        np.full((rows, 2), np.nan),
+        np.full((rows, 2, 2), np.nan),
+        np.full((rows, 2, 2), np.nan),
+        np.full((rows, 2), np.nan),
+        np.full((rows, 2, 2), np.nan),
+        np.full((rows, 2, 2), np.nan),
+    )
+
+
+@njit(cache=True)
+def surface_point(cut, u, v, height, depth):
+    """x, y, z of the point of the top at ``height`` over (u, v) of the reference plane (see ``HeightField``), mm."""
+    if cut.vertical:
+        return u, v, depth + height
+    eye = cut.eye
     far = eye[2] - depth
     rho = math.exp(-height / far)
-    return eye[0] + rho * (x - eye[0]), eye[1] + rho * (y - eye[1]), eye[2] - rho * far
+    return eye[0] + rho * (u - eye[0]), eye[1] + rho * (v - eye[1]), eye[2] - rho * far
 
 
 @njit(cache=True)
-def slopes(eye, x, y, nx, ny, nz, depth):
-    """dh/dx and dh/dy over the reference plane of a surface with unit normal n (see ``HeightField``)."""
-    along = (nx * (x - eye[0]) + ny * (y - eye[1])) / (eye[2] - depth) - nz
-    return nx / along, ny / along
+def height_gradient(cut, u, v, normal, depth):
+    """dh/du and dh/dv over the reference plane of a surface with this unit normal (see ``HeightField``)."""
+    nx, ny, nz = normal
+    lean = 0.0 if cut.vertical else (nx * (u - cut.eye[0]) + ny * (v - cut.eye[1])) / (cut.eye[2] - depth)
+    return nx / (lean - nz), ny / (lean - nz)
 
 
 @njit(cache=True)
-def land(eye, x, y, z, nx, ny, nz, gap, ior):
-    """Where the eye's ray through the surface point with this normal meets the source, and whether it does."""
+def project(eye, point, depth):
+    """x, y where an eye sees a point of the top on the reference plane, mm."""
+    x, y, z = point
+    t = (eye[2] - depth) / (eye[2] - z)
+    return eye[0] + (x - eye[0]) * t, eye[1] + (y - eye[1]) * t
+
+
+@njit(cache=True)
+def land(eye, point, normal, slab):
+    """Where an eye's ray through a point of the top, with this unit normal, meets the source.
+
+    ``landing = point + t_xy (gap ior / cos_out - z / t_z)`` with the unit direction t inside the slab and the angle of
+    the ray in the gap, ``cos_out^2 = 1 - ior^2 (1 - t_z^2)``.
+
+    Returns:
+        x, y of the landing point, mm, and whether the ray arrives.
+    """
+    x, y, z = point
+    nx, ny, nz = normal
     dx, dy, dz = x - eye[0], y - eye[1], z - eye[2]
     q = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
     dx, dy, dz = dx * q, dy * q, dz * q
     if dx * nx + dy * ny + dz * nz >= 0.0:
         return 0.0, 0.0, False
-    tx, ty, tz = refract(dx, dy, dz, nx, ny, nz, ior)
-    out = 1.0 - ior * ior * (1.0 - tz * tz)
+    tx, ty, tz = refract(dx, dy, dz, nx, ny, nz, slab.ior)
+    out = 1.0 - slab.ior * slab.ior * (1.0 - tz * tz)
     if tz >= 0.0 or out <= 0.0:
         return 0.0, 0.0, False
-    reach = gap * ior / math.sqrt(out) - z / tz
+    reach = slab.gap * slab.ior / math.sqrt(out) - z / tz
     return x + tx * reach, y + ty * reach, True
 
 
 @njit(cache=True)
-def _seen(eye, cut_eye, x, y, height, sx, sy, depth, gap, ior):
-    """Landing point of the eye's ray where the facet shows (sx, sy) to the reference eye, and the normal there."""
-    px, py, pz = lift(cut_eye, x, y, height, depth)
-    nx, ny, nz = facet_normal(cut_eye[0], cut_eye[1], cut_eye[2], px, py, pz, sx, sy, gap, ior)
-    lx, ly, ok = land(eye, px, py, pz, nx, ny, nz, gap, ior)
-    return lx, ly, nx, ny, nz, ok
+def _seen(eye, rays, x, y, height, wanted, slab):
+    """Landing point of the eye's ray where the facet shows ``wanted`` to the reference eye, and the normal there."""
+    point = surface_point(rays, x, y, height, slab.depth)
+    normal = facet_normal(rays.eye, point, wanted, slab)
+    lx, ly, ok = land(eye, point, normal, slab)
+    return lx, ly, normal, ok
 
 
 @njit(cache=True)
-def _place(eye, cut_eye, x, y, height, depth):
-    """Where on the reference plane the eye sees the surface point over (x, y)."""
-    px, py, pz = lift(cut_eye, x, y, height, depth)
-    t = (eye[2] - depth) / (eye[2] - pz)
-    return eye[0] + (px - eye[0]) * t, eye[1] + (py - eye[1]) * t
+def linearise(eye, facet, offset, reference_eye, slab, whole, out, row):
+    """Fill a row of a ``FirstOrder`` with what an eye sees through a facet, by exact rays and finite differences.
 
+    ``d landing / dp`` with ``s(p) = c + R`` held gives ``by_facet``, ``d landing / ds`` gives ``by_source``.
 
-@njit(cache=True)
-def sight(eye, cut_eye, cx, cy, height, rx, ry, depth, gap, ior, whole, out):
-    """Fill ``out`` (SIGHT,) for the facet at (cx, cy), mm, that shows the patch at offset (rx, ry) to the cutting eye.
+    Args:
+        eye: (3,) the eye that looks, mm.
+        facet: x and y of the facet's centre and its height above the reference plane, mm.
+        offset: x and y of the patch that the facet shows to the reference eye, from the facet's centre, mm.
+        reference_eye: (3,) the eye that the facet is designed for, mm.
+        slab: the glass.
+        whole: False leaves out ``position``, ``position_by_facet`` and ``flat_by_facet``.
+        out: the ``FirstOrder`` to fill.
+        row: the row of it.
 
-    height: of the facet's centre above the reference plane. whole: False leaves out PLACE, SHEAR and FLAT. Of a lenslet
-    with map M, a point p from the centre shows this eye ``LANDING + (MAP + SPAN M) p`` at ``PLACE + SHEAR p``; within a
-    flat micro-facet the source passes by at FLAT. Returns False where the light is reflected totally.
+    Returns:
+        False where the light is reflected totally; the row is then undefined.
     """
-    sx, sy = cx + rx, cy + ry
-    lx, ly, nx, ny, nz, ok = _seen(eye, cut_eye, cx, cy, height, sx, sy, depth, gap, ior)
+    cx, cy, height = facet
+    rays = Cut(reference_eye, False)
+    sx, sy = cx + offset[0], cy + offset[1]
+    lx, ly, normal, ok = _seen(eye, rays, cx, cy, height, (sx, sy), slab)
     if not ok:
         return False
-    gx, gy = slopes(cut_eye, cx, cy, nx, ny, nz, depth)
-    out[LANDING], out[LANDING + 1] = lx, ly
+    gx, gy = height_gradient(rays, cx, cy, normal, slab.depth)
+    out.landing[row, 0], out.landing[row, 1] = lx, ly
     px, py = 0.0, 0.0
     if whole:
-        px, py = _place(eye, cut_eye, cx, cy, height, depth)
-        out[PLACE], out[PLACE + 1] = px, py
+        px, py = project(eye, surface_point(rays, cx, cy, height, slab.depth), slab.depth)
+        out.position[row, 0], out.position[row, 1] = px, py
     for axis in range(2):
-        dx, dy = (STEP_MM, 0.0) if axis == 0 else (0.0, STEP_MM)
+        dx, dy = (_STEP_MM, 0.0) if axis == 0 else (0.0, _STEP_MM)
         h = height + gx * dx + gy * dy
-        ax, ay, _, _, _, good = _seen(eye, cut_eye, cx + dx, cy + dy, h, sx, sy, depth, gap, ior)
-        bx, by, _, _, _, fine = _seen(eye, cut_eye, cx, cy, height, sx + dx, sy + dy, depth, gap, ior)
-        if not (good and fine):
+        ax, ay, _, arrives = _seen(eye, rays, cx + dx, cy + dy, h, (sx, sy), slab)
+        bx, by, _, also = _seen(eye, rays, cx, cy, height, (sx + dx, sy + dy), slab)
+        if not (arrives and also):
             return False
-        out[MAP + axis], out[MAP + 2 + axis] = (ax - lx) / STEP_MM, (ay - ly) / STEP_MM
-        out[SPAN + axis], out[SPAN + 2 + axis] = (bx - lx) / STEP_MM, (by - ly) / STEP_MM
+        out.by_facet[row, 0, axis], out.by_facet[row, 1, axis] = (ax - lx) / _STEP_MM, (ay - ly) / _STEP_MM
+        out.by_source[row, 0, axis], out.by_source[row, 1, axis] = (bx - lx) / _STEP_MM, (by - ly) / _STEP_MM
         if whole:
-            ux, uy = _place(eye, cut_eye, cx + dx, cy + dy, h, depth)
-            out[SHEAR + axis], out[SHEAR + 2 + axis] = (ux - px) / STEP_MM, (uy - py) / STEP_MM
-            qx, qy, qz = lift(cut_eye, cx + dx, cy + dy, h, depth)
-            fx, fy, flat = land(eye, qx, qy, qz, nx, ny, nz, gap, ior)
+            beside = surface_point(rays, cx + dx, cy + dy, h, slab.depth)
+            ux, uy = project(eye, beside, slab.depth)
+            out.position_by_facet[row, 0, axis] = (ux - px) / _STEP_MM
+            out.position_by_facet[row, 1, axis] = (uy - py) / _STEP_MM
+            fx, fy, flat = land(eye, beside, normal, slab)
             if not flat:
                 return False
-            out[FLAT + axis], out[FLAT + 2 + axis] = (fx - lx) / STEP_MM, (fy - ly) / STEP_MM
+            out.flat_by_facet[row, 0, axis] = (fx - lx) / _STEP_MM
+            out.flat_by_facet[row, 1, axis] = (fy - ly) / _STEP_MM
     return True
 
 
 @njit(cache=True)
-def local_map(seen, m, out):
-    """out (4,) = MAP + SPAN M, row-major, for a symmetric M = (xx, xy, yy)."""
-    for row in range(2):
-        a, b = seen[SPAN + 2 * row], seen[SPAN + 2 * row + 1]
-        out[2 * row] = seen[MAP + 2 * row] + a * m[0] + b * m[1]
-        out[2 * row + 1] = seen[MAP + 2 * row + 1] + a * m[1] + b * m[2]
+def shift(seen, row, step):
+    """Move the wanted source point of a row of a ``FirstOrder`` by a small step along x, mm; derivatives stay."""
+    seen.landing[row, 0] += seen.by_source[row, 0, 0] * step
+    seen.landing[row, 1] += seen.by_source[row, 1, 0] * step
 
 
 @njit(cache=True)
-def sights(eye, cut_eye, centres, heights, offsets, depth, gap, ior):
-    """(F, SIGHT) float64, one per facet, nan where light is reflected totally; see ``sight``.
+def local_map(seen, row, m, out):
+    """out (4,) = by_facet + by_source M, row-major, of a row of a ``FirstOrder``; M symmetric: m = (xx, xy, yy)."""
+    for axis in range(2):
+        a, b = seen.by_source[row, axis, 0], seen.by_source[row, axis, 1]
+        out[2 * axis] = seen.by_facet[row, axis, 0] + a * m[0] + b * m[1]
+        out[2 * axis + 1] = seen.by_facet[row, axis, 1] + a * m[1] + b * m[2]
 
-    centres, offsets: (F, 2) mm. heights: (F,) mm.
+
+@njit(cache=True)
+def linearised(eye, reference_eye, centres, heights, offsets, slab):
+    """What an eye sees through every facet, a ``FirstOrder`` of F rows, nan where light is reflected totally.
+
+    Args:
+        eye: (3,) the eye that looks, mm.
+        reference_eye: (3,) the eye that the facets are designed for, mm.
+        centres: (F, 2) mm.
+        heights: (F,) of the centres above the reference plane, mm.
+        offsets: (F, 2) of the patches, mm.
+        slab: the glass.
     """
-    out = np.full((len(centres), SIGHT), np.nan)
-    row = np.zeros(SIGHT)
+    out, one = unknown_first_order(len(centres)), unknown_first_order(1)
     for f in range(len(centres)):
-        ok = sight(
-            eye, cut_eye, centres[f, 0], centres[f, 1], heights[f], offsets[f, 0], offsets[f, 1],
-            depth, gap, ior, True, row,
-        )
-        if ok:
-            out[f] = row
+        facet = (centres[f, 0], centres[f, 1], heights[f])
+        if linearise(eye, facet, (offsets[f, 0], offsets[f, 1]), reference_eye, slab, True, one, 0):
+            out.landing[f], out.position[f] = one.landing[0], one.position[0]
+            out.by_facet[f], out.by_source[f] = one.by_facet[0], one.by_source[0]
+            out.position_by_facet[f], out.flat_by_facet[f] = one.position_by_facet[0], one.flat_by_facet[0]
     return out

@@ -7,49 +7,58 @@ import math
 import numpy as np
 from numba import njit, prange
 
+from magiclens.optics.eyes import height_gradient
 from magiclens.optics.refraction import facet_normal, refract
+from magiclens.optics.walls import Edges
 
 
 @njit(cache=True)
-def _at(cx, cy, px, py, offset, m, eye, vertical, depth, gap, ior, out):
-    """Unit normal (out[0:3]) and dh/du, dh/dv (out[3:5]) at (px, py) from a facet's centre."""
-    x, y = cx + px, cy + py
-    sx, sy = cx + offset[0] + m[0] * px + m[1] * py, cy + offset[1] + m[1] * px + m[2] * py
-    nx, ny, nz = facet_normal(eye[0], eye[1], eye[2], x, y, depth, sx, sy, gap, ior)
-    far = eye[2] - depth
-    along = -nz if vertical else (nx * (x - eye[0]) + ny * (y - eye[1])) / far - nz
-    out[0], out[1], out[2], out[3], out[4] = nx, ny, nz, nx / along, ny / along
+def _slopes_at(centre, p, offset, m, cut, slab, out):
+    """Unit normal (out[0:3]) and dh/du, dh/dv (out[3:5]) at p from a facet's centre, on the reference plane."""
+    x, y = centre[0] + p[0], centre[1] + p[1]
+    sx = centre[0] + offset[0] + m[0] * p[0] + m[1] * p[1]
+    sy = centre[1] + offset[1] + m[1] * p[0] + m[2] * p[1]
+    out[0], out[1], out[2] = facet_normal(cut.eye, (x, y, slab.depth), (sx, sy), slab)
+    out[3], out[4] = height_gradient(cut, x, y, (out[0], out[1], out[2]), slab.depth)
 
 
 @njit(cache=True)
-def _lost(x, y, along_x, outward, normal, cut_eye, vertical, eyes, depth, ior):
+def _lost(x, y, along_x, outward, normal, cut, eyes, slab):
     """Width of the strip that a wall takes from the eyes' pictures, mm per mm of step, on average over the eyes.
 
-    The wall at (x, y) faces along x or y, ``outward`` = +-1, and the facet with this normal stands higher. Rays in the
-    slab that drift outward meet the wall from within; an eye that looks inward past the wall sees it from without.
+    The wall at (x, y) faces along x or y, ``outward`` = +-1, and the facet with this normal is the higher one. Rays in
+    the slab that drift outward meet the wall from within; an eye that looks inward past the wall sees it from without.
     """
     a = 0 if along_x else 1
     here = x if along_x else y
-    lean = 0.0 if vertical else (here - cut_eye[a]) / (cut_eye[2] - depth)
+    lean = 0.0 if cut.vertical else (here - cut.eye[a]) / (cut.eye[2] - slab.depth)
     total = 0.0
     for v in range(len(eyes)):
-        dx, dy, dz = x - eyes[v, 0], y - eyes[v, 1], depth - eyes[v, 2]
+        dx, dy, dz = x - eyes[v, 0], y - eyes[v, 1], slab.depth - eyes[v, 2]
         q = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
-        t = refract(dx * q, dy * q, dz * q, normal[0], normal[1], normal[2], ior)
+        t = refract(dx * q, dy * q, dz * q, normal[0], normal[1], normal[2], slab.ior)
         within = -t[a] / t[2] - lean if t[2] < 0.0 else 0.0
-        without = (here - eyes[v, a]) / (eyes[v, 2] - depth) - lean
+        without = (here - eyes[v, a]) / (eyes[v, 2] - slab.depth) - lean
         total += max(outward * within, 0.0) + max(-outward * without, 0.0)
     return total / len(eyes)
 
 
 @njit(cache=True, parallel=True)
-def edge_models(centres, offsets, maps, eye, eyes, vertical, pitch, depth, gap, ior, points):
-    """Edge profiles, mm, of zero-mean lenslets, and outward drifts, both (F, K, 4, Q) float32.
+def lenslet_edges(centres, offsets, maps, pitch, cut, eyes, slab, points):
+    """``Edges`` (F, K, 4, Q) float32 of lenslets that show the candidates' patches.
 
-    centres: (F, 2) mm. offsets: (F, K, 2) mm, maps: (F, K, 3), as in ``artifacts.Candidates``. Slopes are taken at the
-    centre and the four edge midpoints of each facet, on the plane z = depth; the lenslet between is quadratic. Edges
-    and drifts are those of ``optics.walls``; drifts are equal along an edge, means over the ``eyes`` (V, 3), and count
-    walls seen askew.
+    ``h(u, v) = g . (u, v) + (u, v) H (u, v) / 2 - tr(H) pitch^2 / 24``: quadratic, with zero mean over the facet. The
+    slopes g at the centre and H, their differences over the four edge midpoints, are taken on the reference plane.
+
+    Args:
+        centres: (F, 2) mm.
+        offsets: (F, K, 2) mm, as in ``artifacts.Candidates``.
+        maps: (F, K, 3) as in ``artifacts.Candidates``.
+        pitch: side of a facet, mm.
+        cut: how the top is cut, and the eye that the facets are designed for.
+        eyes: (V, 3) of all views, mm; drifts are means over them and count walls that are seen from outside too.
+        slab: the glass.
+        points: Q, points per edge; drifts are equal along an edge.
     """
     facets, labels, _ = offsets.shape
     profiles = np.zeros((facets, labels, 4, points), np.float32)
@@ -62,7 +71,7 @@ def edge_models(centres, offsets, maps, eye, eyes, vertical, pitch, depth, gap, 
             for e in range(5):
                 px = half if e == 0 else (-half if e == 2 else 0.0)
                 py = half if e == 1 else (-half if e == 3 else 0.0)
-                _at(cx, cy, px, py, offsets[f, k], maps[f, k], eye, vertical, depth, gap, ior, s[e])
+                _slopes_at(centres[f], (px, py), offsets[f, k], maps[f, k], cut, slab, s[e])
             gu, gv = s[4, 3], s[4, 4]
             guu, gvv = (s[0, 3] - s[2, 3]) / pitch, (s[1, 4] - s[3, 4]) / pitch
             guv = 0.5 * ((s[1, 3] - s[3, 3]) + (s[0, 4] - s[2, 4])) / pitch
@@ -70,27 +79,36 @@ def edge_models(centres, offsets, maps, eye, eyes, vertical, pitch, depth, gap, 
             for e in range(4):
                 side, outward = e == 0 or e == 2, 1.0 if e < 2 else -1.0
                 x, y = cx + (outward * half if side else 0.0), cy + (0.0 if side else outward * half)
-                drifts[f, k, e, :] = _lost(x, y, side, outward, s[e], eye, vertical, eyes, depth, ior)
+                drifts[f, k, e, :] = _lost(x, y, side, outward, s[e], cut, eyes, slab)
                 for q in range(points):
                     along = ((q + 0.5) / points - 0.5) * pitch
                     u = half if e == 0 else (-half if e == 2 else along)
                     v = half if e == 1 else (-half if e == 3 else along)
                     rise = gu * u + gv * v + 0.5 * (guu * u * u + gvv * v * v) + guv * u * v
                     profiles[f, k, e, q] = rise - mean
-    return profiles, drifts
+    return Edges(profiles, drifts)
 
 
 @njit(cache=True, parallel=True)
-def built_drifts(shapes, centres, eye, eyes, vertical, cell, depth, ior):
+def shape_drifts(shapes, centres, cell, cut, eyes, slab):
     """(F, 4, k) float32: drifts at the vertices of the edges of facets that have been built, as in ``optics.walls``.
 
-    shapes: (F, k, k) heights of vertices, mm, ``cell`` mm apart. Drifts are means over the micro-facets at a vertex.
+    A drift is a mean over the micro-facets at a vertex, whose normals are parallel to ``(-dh/du, -dh/dv, n_z)``, ``n_z
+    = 1 - (dh/du, dh/dv) . (q - eye) / D``, for cells along the rays of an eye at the distance D from the plane.
+
+    Args:
+        shapes: (F, k, k) heights of vertices, mm.
+        centres: (F, 2) mm.
+        cell: distance between neighbouring vertices, mm.
+        cut: how the top is cut.
+        eyes: (V, 3) of all views, mm.
+        slab: the glass.
     """
     m = shapes.shape[1] - 1
     drifts = np.zeros((len(shapes), 4, m + 1), np.float32)
     half = 0.5 * m * cell
     for f in prange(len(shapes)):
-        normal = np.zeros(3)
+        normal, eye = np.zeros(3), cut.eye
         for e in range(4):
             side, outward = e == 0 or e == 2, 1.0 if e < 2 else -1.0
             for q in range(m):
@@ -101,10 +119,11 @@ def built_drifts(shapes, centres, eye, eyes, vertical, cell, depth, ior):
                 along = (q + 0.5) * cell - half
                 x = centres[f, 0] + (outward * half if side else along)
                 y = centres[f, 1] + (-along if side else outward * half)
-                nz = 1.0 if vertical else 1.0 - (gu * (x - eye[0]) + gv * (y - eye[1])) / (eye[2] - depth)
+                lean = gu * (x - eye[0]) + gv * (y - eye[1])
+                nz = 1.0 if cut.vertical else 1.0 - lean / (eye[2] - slab.depth)
                 length = math.sqrt(gu * gu + gv * gv + nz * nz)
                 normal[0], normal[1], normal[2] = -gu / length, -gv / length, nz / length
-                drift = _lost(x, y, side, outward, normal, eye, vertical, eyes, depth, ior)
+                drift = _lost(x, y, side, outward, normal, cut, eyes, slab)
                 low = m - 1 - q if side else q
                 drifts[f, e, low] += drift if low == 0 else 0.5 * drift
                 drifts[f, e, low + 1] += drift if low + 1 == m else 0.5 * drift
@@ -112,12 +131,13 @@ def built_drifts(shapes, centres, eye, eyes, vertical, cell, depth, ior):
 
 
 @njit(cache=True, parallel=True)
-def centre_slopes(centres, offsets, maps, eye, depth, gap, ior):
-    """(F, K, 2) dz/dx and dz/dy at the facets' centres that show the patches at ``offsets`` (F, K, 2) mm."""
+def centre_slopes(centres, offsets, eye, slab):
+    """(F, K, 2) dz/dx and dz/dy at the facets' centres that show an eye the patches at ``offsets`` (F, K, 2) mm."""
     out = np.zeros(offsets.shape)
     for f in prange(len(offsets)):
-        s = np.zeros(5)
+        x, y = centres[f, 0], centres[f, 1]
         for k in range(offsets.shape[1]):
-            _at(centres[f, 0], centres[f, 1], 0.0, 0.0, offsets[f, k], maps[f, k], eye, True, depth, gap, ior, s)
-            out[f, k, 0], out[f, k, 1] = s[3], s[4]
+            source = (x + offsets[f, k, 0], y + offsets[f, k, 1])
+            nx, ny, nz = facet_normal(eye, (x, y, slab.depth), source, slab)
+            out[f, k, 0], out[f, k, 1] = nx / -nz, ny / -nz
     return out

@@ -64,22 +64,30 @@ def sine_in_slab(distance: float, depth: float, gap: float, ior: float) -> float
 
 
 @njit(cache=True)
-def facet_normal(
-    ex: float, ey: float, ez: float, x: float, y: float, z: float, sx: float, sy: float, gap: float, ior: float
-):
-    """The unit normal at (x, y, z) that shows the source point (sx, sy, -gap) to the eye (ex, ey, ez). All mm.
+def facet_normal(eye, point, source, slab):
+    """The unit normal at a point of the top that shows a point of the source to an eye (4.3, eq. 2 in vector form).
 
-    With unit incoming direction i and unit direction t inside the slab, Snell's law says that the normal is parallel
-    to ``i - n t`` (4.3, eq. 2 in vector form). t follows from the exit point on the flat bottom.
+    ``n ~ i - ior t`` with the unit incoming direction i and the unit direction t inside the slab, by Snell's law. t
+    follows from where the ray leaves the flat bottom, see ``sine_in_slab``.
+
+    Args:
+        eye: x, y, z of the eye, mm.
+        point: x, y, z of the point of the top, mm.
+        source: x, y of the point of the source plane, mm.
+        slab: the glass, of which ``gap`` and ``ior`` count.
+
+    Returns:
+        x, y, z of the normal, which points up.
     """
-    ix, iy, iz = x - ex, y - ey, z - ez
+    x, y, z = point
+    ix, iy, iz = x - eye[0], y - eye[1], z - eye[2]
     r = 1.0 / math.sqrt(ix * ix + iy * iy + iz * iz)
-    rx, ry = sx - x, sy - y
+    rx, ry = source[0] - x, source[1] - y
     d = math.sqrt(rx * rx + ry * ry)
-    s = sine_in_slab(d, z, gap, ior)
+    s = sine_in_slab(d, z, slab.gap, slab.ior)
     side = s / d if d > 0.0 else 0.0
-    nx = ix * r - ior * rx * side
-    ny = iy * r - ior * ry * side
-    nz = iz * r + ior * math.sqrt(1.0 - s * s)
+    nx = ix * r - slab.ior * rx * side
+    ny = iy * r - slab.ior * ry * side
+    nz = iz * r + slab.ior * math.sqrt(1.0 - s * s)
     q = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz)
     return nx * q, ny * q, nz * q

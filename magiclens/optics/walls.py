@@ -7,19 +7,50 @@ neighbour is higher, the ray passes on through the solid and nothing is lost: th
 far as the diagonal facet: a corner that is s higher than that one's, with drifts t and u toward both its edges, darkens
 ``t * u * s^2``.
 
-Edges are numbered 0: +x (right), 1: +y (up), 2: -x (left), 3: -y (down); profiles run along +x or +y. Corner e lies
-between edges e and e + 1. ``profiles`` (..., 4, Q) are heights at the points of the edges, mm, relative to the facet's;
-``drifts`` (..., 4, Q) >= 0 are outward, at the same points.
+Edges are numbered 0: +x (right), 1: +y (up), 2: -x (left), 3: -y (down); points run along +x or +y. Corner e lies
+between edges e and e + 1.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit, prange
+
+from magiclens.contract.artifacts import FloatArray
 
 RIGHT, UP, LEFT, DOWN = 0, 1, 2, 3
 DOWNWARD, RIGHTWARD = (0, -1, 0, 1), (1, 0, -1, 0)
 """Rows and columns from a facet to its neighbour across each edge; to the diagonal facet, those of two edges."""
+
+
+class Edges(NamedTuple):
+    """Facets' edges, Q points each.
+
+    Args:
+        profiles: (..., 4, Q) heights relative to the facet's, mm.
+        drifts: (..., 4, Q) outward drifts, mm sideways per mm down, at least 0.
+    """
+
+    profiles: FloatArray
+    drifts: FloatArray
+
+
+class EnergyTerms(NamedTuple):
+    """What steps between facets cost, as a share of a facet's light.
+
+    Args:
+        loss: cost of a facet's light if all of it is lost.
+        pitch: side of a facet, mm.
+        even: cost of a squared step, lost light or not, per mm^2 and edge.
+        screening: cost of a facet's squared height, per mm^2.
+    """
+
+    loss: float
+    pitch: float
+    even: float
+    screening: float
 
 
 @njit(cache=True, inline="always")
@@ -38,30 +69,35 @@ def _corner(profile, drift, e):
 
 
 @njit(cache=True)
-def settle(own, outward, around, loss, pitch, even, screening, low, high):
+def best_height(own, around, terms, low, high):
     """The height at which a facet costs least, and that cost.
 
-    own: (4, Q) its profiles, outward: (4, Q) its drifts. around: see ``surroundings``. The energy is the mean over an
-    edge's points of ``loss * lost width / pitch + even * step^2``, summed over edges, plus ``loss * lost area /
-    pitch^2`` of corners and ``screening * height^2``. low, high: bounds of the height. The energy is convex, so its
+    ``E(c) = sum over edges of mean over points of (loss * lost width / pitch + even * step^2) + sum over corners of
+    loss * lost area / pitch^2 + screening * c^2``, the steps being ``own + c - around``. It is convex, so its
     derivative is bisected.
+
+    Args:
+        own: the facet's ``Edges`` (4, Q).
+        around: (4, Q + 1, 2), see ``surroundings``.
+        terms: what steps cost.
+        low, high: bounds of the height, mm.
     """
     a, b = low, high
-    points = own.shape[1]
-    width, area = loss / pitch, loss / pitch**2
+    points = own.profiles.shape[1]
+    width, area = terms.loss / terms.pitch, terms.loss / terms.pitch**2
     c, cost = 0.0, 0.0
     for _ in range(18):
         c = 0.5 * (a + b)
-        slope, cost = 2.0 * screening * c, screening * c * c
+        slope, cost = 2.0 * terms.screening * c, terms.screening * c * c
         for e in range(4):
             if not np.isnan(around[e, 0, 0]):
                 for q in range(points):
-                    step = own[e, q] + c - around[e, q, 0]
-                    energy, pull = _pull(step, outward[e, q], around[e, q, 1], width, even)
+                    step = own.profiles[e, q] + c - around[e, q, 0]
+                    energy, pull = _pull(step, own.drifts[e, q], around[e, q, 1], width, terms.even)
                     slope += pull / points
                     cost += energy / points
             if not np.isnan(around[e, points, 0]):
-                height, drift = _corner(own, outward, e)
+                height, drift = _corner(own.profiles, own.drifts, e)
                 step = height + c - around[e, points, 0]
                 rate = area * (drift if step > 0.0 else around[e, points, 1])
                 slope += 2.0 * rate * step
@@ -74,55 +110,71 @@ def settle(own, outward, around, loss, pitch, even, screening, low, high):
 
 
 @njit(cache=True)
-def surroundings(i, j, choice, heights, profiles, drifts, around):
+def surroundings(i, j, choice, heights, edges, around):
     """What faces facet (i, j) across its edges' points and, last in each row, its corners.
 
-    around: (4, Q + 1, 2) is filled with heights, nan outside the lens, and drifts toward the facet.
+    Args:
+        i, j: row and column of the facet.
+        choice: (N, N) the facets' candidates.
+        heights: (N, N) the facets' heights, mm.
+        edges: the candidates' ``Edges`` (N, N, K, 4, Q).
+        around: (4, Q + 1, 2) to fill with heights, nan outside the lens, and drifts toward the facet.
     """
-    n, points = len(choice), profiles.shape[4]
+    n, points = len(choice), edges.profiles.shape[4]
     around[:] = np.nan
     for e in range(4):
         r, c = i + DOWNWARD[e], j + RIGHTWARD[e]
         if 0 <= r < n and 0 <= c < n:
             k, facing = choice[r, c], (e + 2) % 4
             for q in range(points):
-                around[e, q, 0] = profiles[r, c, k, facing, q] + heights[r, c]
-                around[e, q, 1] = drifts[r, c, k, facing, q]
+                around[e, q, 0] = edges.profiles[r, c, k, facing, q] + heights[r, c]
+                around[e, q, 1] = edges.drifts[r, c, k, facing, q]
         r, c = r + DOWNWARD[(e + 1) % 4], c + RIGHTWARD[(e + 1) % 4]
         if 0 <= r < n and 0 <= c < n:
             k = choice[r, c]
-            height, drift = _corner(profiles[r, c, k], drifts[r, c, k], (e + 2) % 4)
+            height, drift = _corner(edges.profiles[r, c, k], edges.drifts[r, c, k], (e + 2) % 4)
             around[e, points, 0], around[e, points, 1] = height + heights[r, c], drift
 
 
 @njit(cache=True, parallel=True)
-def sweep(choice, heights, errors, profiles, drifts, loss, pitch, even, screening, relief, temperature, dice):
+def heat_bath_sweep(choice, heights, errors, edges, terms, relief, temperature, dice):
     """One heat-bath sweep over all facets, no neighbours at once: each draws a candidate, and takes its best height.
 
-    choice: (N, N) int64 and heights: (N, N) mm, updated in place. errors: (N, N, K), inf: no candidate. profiles and
-    drifts: (N, N, K, 4, Q); candidates that rise more than relief are out. dice: (N, N) in [0, 1). Candidate k is drawn
-    with probability proportional to exp(-E_k / temperature); temperature 0 takes the best.
-    Returns the change of the heights, mm.
+    ``P(k) ~ exp(-E_k / temperature)`` with the candidate's image error plus its energy at its best height, see
+    ``best_height``; temperature 0 takes the best.
+
+    Args:
+        choice: (N, N) int64, updated in place.
+        heights: (N, N) mm, updated in place.
+        errors: (N, N, K) image errors; inf where there is no candidate.
+        edges: the candidates' ``Edges`` (N, N, K, 4, Q).
+        terms: what steps cost.
+        relief: candidates that rise or fall more than this, mm, are left out.
+        temperature: same unit as the errors.
+        dice: (N, N) random numbers in [0, 1).
+
+    Returns:
+        The greatest change of a height, mm.
     """
     n, _, labels = errors.shape
     moved = np.zeros(n)
     for colour in range(4):
         for row in prange((n + 1 - colour // 2) // 2):
             i = 2 * np.int64(row) + colour // 2  # prange counts unsigned, which would mix with signed numbers to floats
-            around = np.zeros((4, profiles.shape[4] + 1, 2))
+            around = np.zeros((4, edges.profiles.shape[4] + 1, 2))
             energy, level = np.zeros(labels), np.zeros(labels)
             for j in range(colour % 2, n, 2):
-                surroundings(i, j, choice, heights, profiles, drifts, around)
+                surroundings(i, j, choice, heights, edges, around)
                 best = np.inf
                 for k in range(labels):
                     energy[k] = np.inf
+                    # far above the best candidate so far, the heat bath would not draw it
                     if errors[i, j, k] < np.inf and errors[i, j, k] < best + 20.0 * temperature:
-                        reach = relief - np.abs(profiles[i, j, k]).max()
+                        own = Edges(edges.profiles[i, j, k], edges.drifts[i, j, k])
+                        reach = relief - np.abs(own.profiles).max()
                         if reach < 0.0:
                             continue
-                        level[k], cost = settle(
-                            profiles[i, j, k], drifts[i, j, k], around, loss, pitch, even, screening, -reach, reach
-                        )
+                        level[k], cost = best_height(own, around, terms, -reach, reach)
                         energy[k] = cost + errors[i, j, k]
                         best = min(best, energy[k])
                 pick = _draw(energy, best, temperature, dice[i, j])
@@ -147,27 +199,32 @@ def _draw(energy, best, temperature, die):
 
 
 @njit(cache=True, parallel=True)
-def total_energy(choice, heights, errors, profiles, drifts, loss, pitch, even, screening):
-    """Image error, light lost at walls, and the even part (step^2 and screening), each summed over the lens."""
-    n, points = len(choice), profiles.shape[4]
+def total_energy(choice, heights, errors, edges, terms):
+    """(3,) image error, light lost at walls, and the even part (step^2 and screening), each summed over the lens.
+
+    The lost light is ``loss * (drift * step / pitch, mean over an edge's points, + drift^2 * step^2 / pitch^2 of
+    corners)``, for steps > 0. Arguments are those of ``heat_bath_sweep``.
+    """
+    loss, pitch, even, screening = terms
+    n, points = len(choice), edges.profiles.shape[4]
     parts = np.zeros((n, 3))
     for row in prange(n):
         i = np.int64(row)
         around = np.zeros((4, points + 1, 2))
         for j in range(n):
             k = choice[i, j]
-            surroundings(i, j, choice, heights, profiles, drifts, around)
+            surroundings(i, j, choice, heights, edges, around)
             parts[i, 0] += errors[i, j, k]
             parts[i, 2] += screening * heights[i, j] ** 2
             for e in range(4):
                 # both sides of every edge and corner are visited: count the own loss only, and half of the even part
                 if not np.isnan(around[e, 0, 0]):
                     for q in range(points):
-                        step = profiles[i, j, k, e, q] + heights[i, j] - around[e, q, 0]
-                        parts[i, 1] += loss / pitch * drifts[i, j, k, e, q] * max(step, 0.0) / points
+                        step = edges.profiles[i, j, k, e, q] + heights[i, j] - around[e, q, 0]
+                        parts[i, 1] += loss / pitch * edges.drifts[i, j, k, e, q] * max(step, 0.0) / points
                         parts[i, 2] += 0.5 * even * step * step / points
                 if not np.isnan(around[e, points, 0]):
-                    height, drift = _corner(profiles[i, j, k], drifts[i, j, k], e)
+                    height, drift = _corner(edges.profiles[i, j, k], edges.drifts[i, j, k], e)
                     step = height + heights[i, j] - around[e, points, 0]
                     parts[i, 1] += loss / pitch**2 * drift * max(step, 0.0) ** 2
     return parts.sum(axis=0)

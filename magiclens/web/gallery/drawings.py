@@ -10,6 +10,7 @@ import numpy as np
 
 from magiclens.contract.artifacts import Assignment, BoolArray, FloatArray, HeightField, Lens, Scene, View
 from magiclens.images import circles
+from magiclens.optics.medium import Slab
 from magiclens.optics.refraction import facet_normal, refract
 from magiclens.web.gallery.svg import Point, Svg
 
@@ -169,7 +170,7 @@ def _draw_lens(svg: Svg, outline: Sequence[Point]) -> None:
 
 def _slope(at: Point, seen: float) -> float:
     """The slope dz/dx of a facet at a point, by Snell's law, so that it shows the source at x = ``seen``."""
-    nx, _, nz = facet_normal(_EYE[0], 0.0, _EYE[1], at[0], 0.0, at[1], seen, 0.0, 0.0, _IOR)
+    nx, _, nz = facet_normal((_EYE[0], 0.0, _EYE[1]), (at[0], 0.0, at[1]), (seen, 0.0), Slab(at[1], 0.0, _IOR))
     dx, dz = _unit(at[0] - _EYE[0], at[1] - _EYE[1])
     tx, _, tz = refract(dx, 0.0, dz, nx, 0.0, nz, _IOR)
     if abs(at[0] - tx / tz * at[1] - seen) > 1e-6:
