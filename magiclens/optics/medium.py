@@ -68,7 +68,8 @@ def slab_of(lens: Lens) -> Slab:
 
 def cut_of(scene: Scene) -> Cut:
     """How the lens of a scene is cut into facets, lens frame."""
-    return Cut(scene.reference_eye_mm, scene.lens.cells == "vertical")
+    eye = scene.reference_eye_mm
+    return Cut(eye, scene.lens.cut_along(eye) is None)
 
 
 def optics_of(lens: Lens, cut: Cut) -> Optics:
