@@ -8,7 +8,7 @@ exactly as in space. Vertical cells need no map: (u, v, w) = (x, y, z).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,22 +16,41 @@ from magiclens.contract.artifacts import FloatArray, Lens, Solid
 from magiclens.contract.errors import InputError
 
 
-@dataclass(frozen=True)
-class Grid:
-    """us: (columns,) ascending. vs: (rows,) descending. ws: (rows, columns). points: (rows, columns, 3) mm.
+class Grid(NamedTuple):
+    """The regular grid of a solid's top, lens frame; flat, because numba hands no nested tuples to threads.
 
-    eye: (3,) of the cutting eye, or (0, 0, 0) if ``vertical``. plane: D, the eye's distance from the plane.
-    floor: (4,) lowest and highest x, lowest and highest y of the flat bottom, mm.
+    Args:
+        us: (columns,) u of the grid's lines, ascending, mm.
+        vs: (rows,) v of the grid's lines, descending, mm.
+        ws: (rows, columns) w of the vertices.
+        points: (rows, columns, 3) the vertices in space, mm.
+        cut_eye: (3,) the cutting eye, mm, or (0, 0, 0) for vertical cells.
+        eye_distance: D, the cutting eye's distance from the reference plane, mm; 1 for vertical cells.
+        vertical: whether cells are vertical.
+        highest: z of the highest vertex, mm.
+        floor_left: lowest x of the flat bottom, mm.
+        floor_right: its highest x, mm.
+        floor_bottom: its lowest y, mm.
+        floor_top: its highest y, mm.
     """
 
     us: FloatArray
     vs: FloatArray
     ws: FloatArray
     points: FloatArray
-    eye: FloatArray
-    plane: float
+    cut_eye: FloatArray
+    eye_distance: float
     vertical: bool
-    floor: FloatArray
+    highest: float
+    floor_left: float
+    floor_right: float
+    floor_bottom: float
+    floor_top: float
+
+    @property
+    def floor(self) -> tuple[float, float, float, float]:
+        """Lowest and highest x, lowest and highest y of the flat bottom, mm; infinite if there is none."""
+        return self.floor_left, self.floor_right, self.floor_bottom, self.floor_top
 
 
 def grid_of(solid: Solid, lens: Lens) -> Grid:
@@ -40,18 +59,20 @@ def grid_of(solid: Solid, lens: Lens) -> Grid:
         raise InputError("the built-in tracer needs the top's regular grid, which a finisher has removed; use mitsuba")
     rows, columns = solid.grid
     points = solid.vertices[: rows * columns].reshape(rows, columns, 3)
-    floor = _floor(solid.vertices[rows * columns :])
+    height_and_floor = float(points[..., 2].max()), *_floor(solid.vertices[rows * columns :])
     if solid.eye_mm is None:
         us, vs, ws = points[0, :, 0].copy(), points[:, 0, 1].copy(), points[..., 2].copy()
-        return Grid(us, vs, ws, points, np.zeros(3), 1.0, True, floor)
-    eye, plane = solid.eye_mm, float(solid.eye_mm[2] - lens.thickness_mm)
-    w = plane / (eye[2] - points[..., 2])
+        return Grid(us, vs, ws, points, np.zeros(3), 1.0, True, *height_and_floor)
+    eye, distance = solid.eye_mm, float(solid.eye_mm[2] - lens.thickness_mm)
+    w = distance / (eye[2] - points[..., 2])
     flat = eye[:2] + (points[..., :2] - eye[:2]) * w[..., None]
-    return Grid(flat[0, :, 0].copy(), flat[:, 0, 1].copy(), w, points, eye, plane, False, floor)
+    us, vs = flat[0, :, 0].copy(), flat[:, 0, 1].copy()
+    return Grid(us, vs, w, points, eye, distance, False, *height_and_floor)
 
 
-def _floor(below: FloatArray) -> FloatArray:
+def _floor(below: FloatArray) -> tuple[float, float, float, float]:
     """The rectangle that the vertices of sides and bottom span; everything if there are none."""
     if not len(below):
-        return np.array([-np.inf, np.inf, -np.inf, np.inf])
-    return np.stack([below[:, :2].min(axis=0), below[:, :2].max(axis=0)], axis=-1).ravel()
+        return -np.inf, np.inf, -np.inf, np.inf
+    (left, bottom), (right, top) = below[:, :2].min(axis=0).tolist(), below[:, :2].max(axis=0).tolist()
+    return left, right, bottom, top

@@ -57,16 +57,13 @@ def trace(
     Raises:
         InputError: a finisher has removed the grid.
     """
+    from magiclens.optics.medium import slab_of
     from magiclens.rendering.grid import grid_of
-    from magiclens.rendering.tracer_kernels import trace_rows
+    from magiclens.rendering.tracer_kernels import PictureRows, trace_rows
 
-    grid = grid_of(solid, lens)
-    eye = view.eye_in_lens_frame_mm
-    hits: FloatArray = trace_rows(
-        grid.us, grid.vs, grid.ws, grid.points, grid.eye, grid.plane, grid.vertical, float(grid.points[..., 2].max()),
-        grid.floor, np.ascontiguousarray(eye),
-        lens.size_mm, lens.thickness_mm, lens.gap_mm, lens.ior, resolution, samples, *(rows or (0, resolution)),
-    )
+    eye = np.ascontiguousarray(view.eye_in_lens_frame_mm)
+    wanted = PictureRows(lens.size_mm, resolution, samples, *(rows or (0, resolution)))
+    hits: FloatArray = trace_rows(grid_of(solid, lens), slab_of(lens), eye, wanted)
     return hits
 
 
@@ -81,8 +78,8 @@ def picture(hits: FloatArray, source: FloatArray, source_size_mm: float) -> Floa
     Returns:
         (R, R, C) float32, linear light, in the lens frame.
     """
-    from magiclens.rendering.tracer_kernels import look_up
+    from magiclens.rendering.source_kernels import average_samples
 
     per_mm = source.shape[1] / source_size_mm
-    seen: FloatArray = look_up(hits, np.ascontiguousarray(source, np.float32), per_mm)
+    seen: FloatArray = average_samples(hits, np.ascontiguousarray(source, np.float32), per_mm)
     return seen

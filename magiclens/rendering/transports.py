@@ -52,17 +52,17 @@ def transport(solid: Solid, lens: Lens, view: View, resolution: int, samples: in
     """
     from scipy.sparse import csr_array
 
-    from magiclens.rendering.transports_kernels import gather
+    from magiclens.rendering.source_kernels import gather_shares
 
     hits = trace(solid, lens, view, resolution, samples)
     (rows, columns), pixels = view.source.shape[:2], resolution * resolution
-    raster = (hits, rows, columns, columns / lens.source_size_mm)
+    raster = (hits, (rows, columns), columns / lens.source_size_mm)
     pointers = np.zeros(pixels + 1, np.int32)
     nothing = np.zeros(0, np.int32), np.zeros(0, np.float32)
-    gather(*raster, pointers, *nothing)
+    gather_shares(*raster, pointers, *nothing)
     np.cumsum(pointers, out=pointers)
     index, share = np.zeros(pointers[-1], np.int32), np.zeros(pointers[-1], np.float32)
-    gather(*raster, pointers, index, share)
+    gather_shares(*raster, pointers, index, share)
     matrix = csr_array((share, index, pointers), shape=(pixels, rows * columns))
     return Transport(matrix, (resolution, resolution), (rows, columns)).turned(view.quarter_turns)
 

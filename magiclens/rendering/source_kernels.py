@@ -1,0 +1,106 @@
+"""What traced samples take from a source, compiled: pictures, and the entries of sparse matrices.
+
+Both look the source up between its pixels: ``sum over corners of weight * (1 - |dx|) (1 - |dy|) * pixel``. Half a
+pixel at the border repeats the outermost pixels; beyond the source it is dark.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+
+
+@njit(cache=True)
+def _on_raster(hit, rows, columns, per_mm):
+    """Whether a sample's source point lies on the source; its column and row between the centres of the pixels."""
+    x, y = hit[0] * per_mm, -hit[1] * per_mm
+    inside = not (abs(x) > 0.5 * columns or abs(y) > 0.5 * rows)
+    x = min(max(x + 0.5 * columns - 0.5, 0.0), columns - 1.001)
+    y = min(max(y + 0.5 * rows - 0.5, 0.0), rows - 1.001)
+    return inside, x, y
+
+
+@njit(cache=True, parallel=True)
+def average_samples(hits, source, per_mm):
+    """Pictures from traced samples: the mean over a pixel's samples of ``transmission * source at the sample``.
+
+    Args:
+        hits: (R, R, S, 3) float32 source point x, y, mm, and transmission of every sample; lens frame.
+        source: (H, W, C) float32 linear light, lens frame.
+        per_mm: source pixels per mm.
+
+    Returns:
+        (R, R, C) float32 linear light.
+    """
+    rows, columns, channels = source.shape
+    height, width, samples, _ = hits.shape
+    out = np.zeros((height, width, channels), np.float32)
+    for i in prange(height):
+        for j in range(width):
+            for k in range(samples):
+                weight = hits[i, j, k, 2] / samples
+                if weight == 0.0:
+                    continue
+                inside, x, y = _on_raster(hits[i, j, k], rows, columns, per_mm)
+                if not inside:
+                    continue
+                ix, iy = int(x), int(y)
+                fx, fy = x - ix, y - iy
+                for ch in range(channels):
+                    top = source[iy, ix, ch] * (1 - fx) + source[iy, ix + 1, ch] * fx
+                    low = source[iy + 1, ix, ch] * (1 - fx) + source[iy + 1, ix + 1, ch] * fx
+                    out[i, j, ch] += weight * (top * (1 - fy) + low * fy)
+    return out
+
+
+@njit(cache=True, parallel=True)
+def gather_shares(hits, shape, per_mm, pointers, index, share):
+    """The rows of a sparse matrix: which source pixels each pixel of the picture draws from, and how much.
+
+    A first call, without room for entries, leaves each picture pixel's number of them in ``pointers[1:]``; with these
+    added up, a second call fills ``index`` and ``share``.
+
+    Args:
+        hits: (R, R, S, 3) float32 source point x, y, mm, and transmission of every sample; lens frame.
+        shape: rows and columns of the source.
+        per_mm: source pixels per mm.
+        pointers: (R * R + 1,) int32, where each picture pixel's entries start.
+        index: (entries,) int32 row-major indices of source pixels, or of length 0.
+        share: (entries,) float32 shares of these pixels, or of length 0.
+    """
+    rows, columns = shape
+    height, width, samples, _ = hits.shape
+    for i in prange(height):
+        found, weights = np.zeros(4 * samples, np.int32), np.zeros(4 * samples)
+        for j in range(width):
+            count = 0
+            for k in range(samples):
+                weight = hits[i, j, k, 2] / samples
+                inside, x, y = _on_raster(hits[i, j, k], rows, columns, per_mm)
+                if weight == 0.0 or not inside:
+                    continue
+                ix, iy = int(x), int(y)
+                fx, fy = x - ix, y - iy
+                for corner in range(4):
+                    right, below = corner & 1, corner >> 1
+                    part = weight * (fx if right else 1.0 - fx) * (fy if below else 1.0 - fy)
+                    if part > 0.0:
+                        count = _add(found, weights, count, (iy + below) * columns + ix + right, part)
+            pixel = i * width + j
+            if len(index) == 0:
+                pointers[pixel + 1] = count
+            else:
+                first = pointers[pixel]
+                for n in range(count):
+                    index[first + n], share[first + n] = found[n], weights[n]
+
+
+@njit(cache=True)
+def _add(found, weights, count, pixel, part):
+    """Add to a pixel's weight in a list of ``count`` different pixels; returns how many there are then."""
+    for n in range(count - 1, -1, -1):
+        if found[n] == pixel:
+            weights[n] += part
+            return count
+    found[count], weights[count] = pixel, part
+    return count + 1
