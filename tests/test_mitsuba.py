@@ -6,7 +6,7 @@ red / blue and green / blue still tell which source point it sees.
 
 from __future__ import annotations
 
-import importlib
+import os
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,8 @@ from pydantic import ValidationError
 
 from magiclens.contract.artifacts import FloatArray, Lens, Scene, Solid, View
 from magiclens.contract.errors import StageError
-from magiclens.rendering.mitsuba import SMALLEST_GAP_MM, Mitsuba, working_llvm
+from magiclens.rendering import llvm
+from magiclens.rendering.mitsuba import SMALLEST_GAP_MM, Mitsuba
 
 SIZE, SOURCE, THICK, DISTANCE, IOR = 100.0, 300.0, 40.0, 400.0, 1.49
 ABOVE = (0.0, 0.0, THICK + DISTANCE)
@@ -251,40 +252,33 @@ def test_sample_counts_are_powers_of_four() -> None:
 class TestLlvm:
     """The choice of a variant. LLVM libraries are tried in a child process since the wrong ones abort theirs."""
 
-    @pytest.fixture(autouse=True)
-    def _forget(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.module = importlib.import_module("magiclens.rendering.mitsuba")
-        monkeypatch.setattr(self.module, "working_llvm", self.module.working_llvm.__wrapped__)
-
     def test_library_that_cannot_be_loaded_leaves_scalar(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "libno-such-library.so")
-        assert self.module._prepare("auto") == "scalar_rgb"
+        assert llvm.installed_libraries() == ["libno-such-library.so"]
+        assert llvm.usable_variant("auto", lambda: llvm.first_working(llvm.installed_libraries())) == "scalar_rgb"
 
-    def test_library_that_aborts_its_process_leaves_scalar(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(self.module, "_PROBE", "import os; os.abort()")
-        assert self.module._prepare("auto") == "scalar_rgb"
+    def test_library_that_aborts_its_process_does_not_work(self) -> None:
+        assert llvm.first_working(["any"], "import os; os.abort()") is None
 
-    def test_asking_for_llvm_without_one_says_what_to_do(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "libno-such-library.so")
+    def test_asking_for_llvm_without_one_says_what_to_do(self) -> None:
         with pytest.raises(StageError, match="install LLVM 17 or newer, or name its library in DRJIT_LIBLLVM_PATH"):
-            self.module._prepare("llvm_ad_rgb")
+            llvm.usable_variant("llvm_ad_rgb", lambda: None)
 
     def test_first_library_that_works_is_used(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "")
-        monkeypatch.setattr(self.module, "_llvm_libraries", lambda: ["bad", "good", "better"])
-        monkeypatch.setattr(self.module, "_PROBE", "import sys; sys.exit(sys.argv[1] == 'bad')")
-        assert self.module._prepare("auto") == "llvm_ad_rgb"
-        assert self.module.os.environ["DRJIT_LIBLLVM_PATH"] == "good"
+        probe = "import sys; sys.exit(sys.argv[1] == 'bad')"
+        found = llvm.first_working(["bad", "good", "better"], probe)
+        assert llvm.usable_variant("auto", lambda: found) == "llvm_ad_rgb"
+        assert os.environ["DRJIT_LIBLLVM_PATH"] == "good"
 
-    def test_scalar_needs_no_probe(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(self.module, "working_llvm", None)
-        assert self.module._prepare("scalar_rgb") == "scalar_rgb"
+    def test_scalar_needs_no_library(self) -> None:
+        assert llvm.usable_variant("scalar_rgb", lambda: pytest.fail("searched")) == "scalar_rgb"
 
 
 @pytest.mark.tools
 def test_llvm_shows_what_scalar_shows() -> None:
-    assert working_llvm(), "no LLVM that Mitsuba works with: apt install libllvm19"
-    scalar, llvm = (picture(prism(0.2), ramps(), variant=v) for v in ("scalar_rgb", "auto"))
-    assert np.abs(llvm - scalar)[2:-2, 2:-2].max() < 0.1
-    assert llvm.mean() == pytest.approx(scalar.mean(), rel=0.01)
-    assert np.array_equal(llvm, picture(prism(0.2), ramps(), variant="auto"))
+    assert llvm.working_llvm(), "no LLVM that Mitsuba works with: apt install libllvm19"
+    scalar, compiled = (picture(prism(0.2), ramps(), variant=v) for v in ("scalar_rgb", "auto"))
+    assert np.abs(compiled - scalar)[2:-2, 2:-2].max() < 0.1
+    assert compiled.mean() == pytest.approx(scalar.mean(), rel=0.01)
+    assert np.array_equal(compiled, picture(prism(0.2), ramps(), variant="auto"))

@@ -10,11 +10,6 @@ bitmaps are handed over bottom row first; a camera that looks straight down with
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-from ctypes.util import find_library
-from functools import cache
 from math import atan, degrees
 from typing import Any, ClassVar, Literal
 
@@ -22,35 +17,10 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from magiclens.contract.artifacts import FloatArray, Lens, Scene, Solid, View
-from magiclens.contract.errors import StageError
 from magiclens.contract.stages import Progress, Renderer, silent
 
 SMALLEST_GAP_MM = 0.05
-"""A source that is closer to the slab's bottom is skipped by Mitsuba's ray epsilon."""
-
-LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
-
-_PROBE = f"""
-import ctypes, os, sys
-library = sys.argv[1]
-try:
-    ctypes.CDLL(library)
-except OSError:
-    sys.exit(f"cannot load {{library}}")
-os.environ["{LLVM_VARIABLE}"] = library
-import mitsuba as mi
-mi.set_variant("llvm_ad_rgb")
-view = mi.ScalarTransform4f().look_at(origin=[0, 0, 3], target=[0, 0, 0], up=[0, 1, 0])
-scene = mi.load_dict({{
-    "type": "scene",
-    "integrator": {{"type": "path", "max_depth": 4}},
-    "ball": {{"type": "sphere", "radius": 0.5, "bsdf": {{"type": "dielectric"}}}},
-    "light": {{"type": "constant"}},
-    "sensor": {{"type": "perspective", "to_world": view, "film": {{"type": "hdrfilm", "width": 8, "height": 8}}}},
-}})
-brightness = float(sum(mi.render(scene, spp=4).array) / (8 * 8 * 3))
-sys.exit(0 if 0.9 < brightness < 1.1 else f"a clear ball in a white world is {{brightness}} bright")
-"""
+"""Smallest distance of the source from the slab's bottom, mm: Mitsuba's ray epsilon skips one that is closer."""
 
 
 class Mitsuba(Renderer):
@@ -82,7 +52,9 @@ class Mitsuba(Renderer):
         """One (resolution, resolution, C) float32 picture per view, in linear light."""
         import mitsuba as mi
 
-        mi.set_variant(_prepare(self.variant))
+        from magiclens.rendering.llvm import usable_variant
+
+        mi.set_variant(usable_variant(self.variant))
         lens = self._lens(solid, scene.lens.ior)
         pictures = []
         for index, view in enumerate(scene.views):
@@ -158,57 +130,11 @@ def _source(lens: Lens, view: View, turn: Any) -> dict[str, Any]:
     half = lens.source_size_mm / 2
     bottom_row_first = np.ascontiguousarray(view.source[::-1], np.float32)
     light = {"type": "bitmap", "bitmap": Bitmap(bottom_row_first), "raw": True, "wrap_mode": "clamp"}
-    place = ScalarTransform4f().translate([0, 0, -max(lens.gap_mm, SMALLEST_GAP_MM)]).scale([half, half, 1])
+    below = ScalarTransform4f().translate([0, 0, -max(lens.gap_mm, SMALLEST_GAP_MM)]).scale([half, half, 1])
     return {
         "type": "rectangle",
-        "to_world": turn @ place,
+        "to_world": turn @ below,
         # Paths end here; a black surface would end them too, but only after a shadow ray.
         "bsdf": {"type": "null"},
         "emitter": {"type": "area", "radiance": light},
     }
-
-
-def _prepare(variant: str) -> str:
-    """The variant to use, with Dr.Jit told which LLVM library works."""
-    if variant == "scalar_rgb":
-        return variant
-    library = working_llvm()
-    if library is not None:
-        os.environ[LLVM_VARIABLE] = library
-        return "llvm_ad_rgb"
-    if variant == "auto":
-        return "scalar_rgb"
-    raise StageError(
-        f"Mitsuba's {variant} does not work here: install LLVM 17 or newer, or name its library in {LLVM_VARIABLE}; "
-        "'variant: scalar_rgb' needs neither"
-    )
-
-
-@cache
-def working_llvm() -> str | None:
-    """The LLVM library that Mitsuba works with here, or None. Tried once per process."""
-    return next((library for library in _llvm_libraries() if _works(library)), None)
-
-
-def _llvm_libraries() -> list[str]:
-    """What the user has set, else the names under which LLVM 17 or newer is installed, tried versions first."""
-    chosen = os.environ.get(LLVM_VARIABLE)
-    if chosen:
-        return [chosen]
-    names = [name for version in (19, 20, 18, 21, 22, 17) for name in _sonames(version)]
-    generic = find_library("LLVM") or find_library("LLVM-C")
-    return [*names, generic] if generic else names
-
-
-def _sonames(version: int) -> tuple[str, str]:
-    """What Linux distributions call the library of one LLVM version."""
-    return f"libLLVM.so.{version}.1", f"libLLVM-{version}.so.1"
-
-
-def _works(library: str) -> bool:
-    """Whether a child process can render with this LLVM library; old ones abort the process that tries."""
-    probe = [sys.executable, "-c", _PROBE, library]
-    try:
-        return subprocess.run(probe, capture_output=True, timeout=120).returncode == 0
-    except subprocess.TimeoutExpired:
-        return False

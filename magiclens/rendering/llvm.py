@@ -1,0 +1,102 @@
+"""Which variant of Mitsuba works here: compiled by an LLVM library that it gets along with, else scalar."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterable
+from ctypes.util import find_library
+from functools import cache
+
+from magiclens.contract.errors import StageError
+
+LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
+"""Environment variable that tells Dr.Jit, which compiles Mitsuba's variants, where its LLVM library is."""
+
+PROBE = f"""
+import ctypes, os, sys
+library = sys.argv[1]
+try:
+    ctypes.CDLL(library)
+except OSError:
+    sys.exit(f"cannot load {{library}}")
+os.environ["{LLVM_VARIABLE}"] = library
+import mitsuba as mi
+mi.set_variant("llvm_ad_rgb")
+view = mi.ScalarTransform4f().look_at(origin=[0, 0, 3], target=[0, 0, 0], up=[0, 1, 0])
+scene = mi.load_dict({{
+    "type": "scene",
+    "integrator": {{"type": "path", "max_depth": 4}},
+    "ball": {{"type": "sphere", "radius": 0.5, "bsdf": {{"type": "dielectric"}}}},
+    "light": {{"type": "constant"}},
+    "sensor": {{"type": "perspective", "to_world": view, "film": {{"type": "hdrfilm", "width": 8, "height": 8}}}},
+}})
+brightness = float(sum(mi.render(scene, spp=4).array) / (8 * 8 * 3))
+sys.exit(0 if 0.9 < brightness < 1.1 else f"a clear ball in a white world is {{brightness}} bright")
+"""
+"""Program that renders a clear ball in a white world with the LLVM library it is given; it fails if that does not work.
+
+It runs in a process of its own, because libraries that are too old abort the process that tries them.
+"""
+
+_PATIENCE_S = 120
+"""Seconds after which a library counts as one that does not work."""
+
+
+@cache
+def working_llvm() -> str | None:
+    """The LLVM library that Mitsuba works with here, or None. Tried once per process."""
+    return first_working(installed_libraries())
+
+
+def usable_variant(variant: str, find: Callable[[], str | None] = working_llvm) -> str:
+    """The variant of Mitsuba to use, with Dr.Jit told which LLVM library works.
+
+    Args:
+        variant: `auto`, `llvm_ad_rgb` or `scalar_rgb`, as asked for.
+        find: finds the library.
+
+    Raises:
+        StageError: LLVM is asked for, and no library works.
+    """
+    if variant == "scalar_rgb":
+        return variant
+    library = find()
+    if library is not None:
+        os.environ[LLVM_VARIABLE] = library
+        return "llvm_ad_rgb"
+    if variant == "auto":
+        return "scalar_rgb"
+    raise StageError(
+        f"Mitsuba's {variant} does not work here: install LLVM 17 or newer, or name its library in {LLVM_VARIABLE}; "
+        "'variant: scalar_rgb' needs neither"
+    )
+
+
+def first_working(libraries: Iterable[str], probe: str = PROBE) -> str | None:
+    """The first library with which a child process that runs ``probe`` succeeds, or None."""
+    return next((library for library in libraries if _works(library, probe)), None)
+
+
+def installed_libraries() -> list[str]:
+    """What the user has set, else the names under which LLVM 17 or newer is installed, tried versions first."""
+    chosen = os.environ.get(LLVM_VARIABLE)
+    if chosen:
+        return [chosen]
+    names = [name for version in (19, 20, 18, 21, 22, 17) for name in _sonames(version)]
+    generic = find_library("LLVM") or find_library("LLVM-C")
+    return [*names, generic] if generic else names
+
+
+def _sonames(version: int) -> tuple[str, str]:
+    """What Linux distributions call the library of one LLVM version."""
+    return f"libLLVM.so.{version}.1", f"libLLVM-{version}.so.1"
+
+
+def _works(library: str, probe: str) -> bool:
+    command = [sys.executable, "-c", probe, library]
+    try:
+        return subprocess.run(command, capture_output=True, timeout=_PATIENCE_S).returncode == 0
+    except subprocess.TimeoutExpired:
+        return False
