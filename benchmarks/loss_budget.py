@@ -22,7 +22,7 @@ from magiclens.contract.artifacts import Assignment, FloatArray, HeightField, Sc
 from magiclens.geometry.facets import patches_seen
 from magiclens.geometry.solid import solid_from_heights
 from magiclens.images import score
-from magiclens.integration.refinement import foreseen
+from magiclens.integration.refinement import predicted_errors
 from magiclens.kernels.sampling import place
 from magiclens.plan.compile import load_plan
 from magiclens.rendering.tracer import picture, trace
@@ -90,9 +90,9 @@ def mean_psnr(scene: Scene, seen: list[FloatArray]) -> float:
     return float(np.mean([score(p, v.in_lens_frame().target).psnr_db for p, v in zip(seen, scene.views, strict=True)]))
 
 
-def foreseen_psnr(scene: Scene, built: HeightField) -> float:
+def predicted_psnr(scene: Scene, built: HeightField) -> float:
     """PSNR that the refinement predicts, which knows no walls; facets that show no source are wholly wrong."""
-    return float(-10 * np.log10(np.minimum(foreseen(scene, built), 1.0).mean()))
+    return float(-10 * np.log10(np.minimum(predicted_errors(scene, built), 1.0).mean()))
 
 
 def main(spec: str, *overrides: str) -> None:
@@ -115,7 +115,7 @@ def main(spec: str, *overrides: str) -> None:
         ("every facet's best candidate, ideal", bound_psnr_db(scene, best)),
         ("annealed candidates, ideal", bound_psnr_db(scene, chosen)),
         ("+ micro-facets", mean_psnr(scene, pictures(scene, lenslets, False, chosen))),
-        ("+ free-form refinement", foreseen_psnr(scene, refined)),
+        ("+ free-form refinement", predicted_psnr(scene, refined)),
         ("+ rays astray at walls and between facets", mean_psnr(scene, pictures(scene, refined, False))),
         ("+ Fresnel: the lens as traced", mean_psnr(scene, pictures(scene, refined, True))),
         ("the lens as traced, without refinement", mean_psnr(scene, pictures(scene, lenslets, True))),

@@ -17,11 +17,20 @@ from magiclens.contract.stages import Progress, silent
 from magiclens.geometry.solid import solid_from_heights
 from magiclens.images import resize, to_display
 from magiclens.integration.laplacian import cosines
-from magiclens.integration.measures import measures, slopes_deg
 from magiclens.integration.poisson import Poisson
-from magiclens.integration.refinement import LOOKS, _optics, _samples, _sights, foreseen
-from magiclens.integration.refinement_kernels import View as Seen
-from magiclens.integration.refinement_kernels import _along, _back, _field, _look, _pull, _slopes, _spectrum
+from magiclens.integration.refinement import LOOK_UPS, optics_for, pictures_of, predicted_errors, samples_of
+from magiclens.integration.refinement_kernels import (
+    Rays,
+    Shown,
+    predict,
+    residual_change,
+    residual_change_transposed,
+    to_field,
+    to_spectrum,
+    triangle_slopes,
+    triangle_slopes_transposed,
+)
+from magiclens.integration.surface_metrics import facet_slopes_deg, surface_metrics
 from magiclens.matching.exhaustive import Exhaustive
 from magiclens.plan.compile import load_plan
 from magiclens.rendering.tracer import picture, trace
@@ -86,7 +95,7 @@ def showing(scene: Scene, built: HeightField) -> Scene:
 def traced(scene: Scene, built: HeightField, view: View) -> FloatArray:
     """What the built-in tracer sees, in the exposure that makes up for reflection losses; world frame."""
     lens = scene.lens
-    hits = trace(solid_from_heights(built), lens, view, lens.facets * _samples(lens, LOOKS[-1]).pixels, 4)
+    hits = trace(solid_from_heights(built), lens, view, lens.facets * samples_of(lens, LOOK_UPS[-1]).pixels, 4)
     seen = picture(hits, view.in_lens_frame().source, lens.source_size_mm) / np.median(hits[..., 2])
     return np.ascontiguousarray(np.rot90(seen.clip(0, 1), view.quarter_turns))
 
@@ -109,7 +118,7 @@ def db(errors: FloatArray) -> float:
 def test_what_is_foreseen_is_what_the_tracer_sees(make: Callable[[], Scene]) -> None:
     scene = over_blotches(make())
     built = rolling(scene)
-    errors = foreseen(showing(scene, built), built)
+    errors = predicted_errors(showing(scene, built), built)
     assert db(errors) > 43
     assert db(errors.max()) > 40
 
@@ -141,7 +150,7 @@ def test_a_matched_lens_gains_decibels_and_no_facet_of_it_pays(matched: tuple[Sc
     before, after = traced_errors(scene, built), traced_errors(scene, refined)
     assert db(after) > db(before) + 5
     assert (after - before).max() < 1e-3
-    assert (foreseen(scene, refined) <= foreseen(scene, built)).all()
+    assert (predicted_errors(scene, refined) <= predicted_errors(scene, built)).all()
 
 
 @scenes
@@ -150,7 +159,7 @@ def test_no_facet_shows_its_tile_worse_than_its_lenslet_did(make: Callable[[], S
     scene = make()
     built = Poisson().integrate(scene, an_assignment(scene))
     refined = STEADY.refine(scene, built)
-    before, after = foreseen(scene, built), foreseen(scene, refined)
+    before, after = predicted_errors(scene, built), predicted_errors(scene, refined)
     same = (refined.heights_mm == built.heights_mm).all(axis=(2, 3))
     assert (after[~same] < before[~same]).all()
     assert refined.metrics["facets_refined"] == pytest.approx(1 - same.mean())
@@ -183,7 +192,7 @@ def strays(scene: Scene, built: HeightField) -> float:
 def test_measures_are_those_of_the_refined_surface(matched: tuple[Scene, HeightField]) -> None:
     scene, built = matched
     refined = Poisson().refine(scene, built)
-    assert {**refined.metrics, **measures(refined)} == refined.metrics
+    assert {**refined.metrics, **surface_metrics(refined)} == refined.metrics
     assert refined.metrics["integration_rounds"] == built.metrics["integration_rounds"]
     assert not refined.heights_mm.flags.writeable
 
@@ -213,12 +222,12 @@ def test_a_facet_that_would_leave_the_relief_stays_a_lenslet_or_finds_another_sh
 ) -> None:
     scene, built = matched
     free, tight = (refined_within(scene, built, relief_mm=relief) for relief in (3.0, 2.0))
-    assert db(foreseen(scene, free)) > 50
+    assert db(predicted_errors(scene, free)) > 50
     tall = np.abs(free.heights_mm).max(axis=(2, 3)) > 2
     lenslets = (tight.heights_mm == built.heights_mm).all(axis=(2, 3))
     assert (tall & lenslets).any()
     others = tall & ~lenslets
-    assert np.all(foreseen(scene, tight)[others] < foreseen(scene, built)[others])
+    assert np.all(predicted_errors(scene, tight)[others] < predicted_errors(scene, built)[others])
     np.testing.assert_array_equal(tight.heights_mm[~tall], free.heights_mm[~tall])
     assert np.abs(tight.heights_mm).max() <= 2
 
@@ -245,7 +254,7 @@ def test_no_facet_gets_steeper_than_the_limit_and_those_that_are_stay(cells: str
 def steepest(built: HeightField) -> FloatArray:
     """(N, N) the steepest micro-facet of every facet, degrees."""
     points = built.facet_points_mm()
-    return np.array([[slopes_deg(points[i : i + 1, j : j + 1]).max() for j in range(4)] for i in range(4)])
+    return np.array([[facet_slopes_deg(points[i : i + 1, j : j + 1]).max() for j in range(4)] for i in range(4)])
 
 
 def test_no_refinement_is_asked_for_with_zero_steps(matched: tuple[Scene, HeightField]) -> None:
@@ -291,14 +300,14 @@ def test_views_of_one_eye_share_its_rays_and_equal_sources_are_kept_once() -> No
         for turn, (x, y) in poses.items()
     ]
     scene = over_blotches(Scene(one_view().lens, tuple(views)))
-    sights = _sights(scene, 12)
-    assert sights.eyes_mm[:, :2].tolist() == [[0, 5], [3, 4], [4, -3]]
-    assert sights.first.tolist() == [0, 2, 3, 4]
-    assert sights.sources.shape == (256, 256, 3)
+    pictures = pictures_of(scene, 12)
+    assert pictures.eyes_mm[:, :2].tolist() == [[0, 5], [3, 4], [4, -3]]
+    assert pictures.first.tolist() == [0, 2, 3, 4]
+    assert pictures.sources.shape == (256, 256, 3)
     for at, turns in enumerate((0, 2, 0, 1)):
-        np.testing.assert_array_equal(sights.sources[..., sights.plane[at]], np.rot90(blotches(256, 4), -turns))
+        np.testing.assert_array_equal(pictures.sources[..., pictures.plane[at]], np.rot90(blotches(256, 4), -turns))
     built = rolling(scene)
-    assert db(foreseen(showing(scene, built), built)) > 47
+    assert db(predicted_errors(showing(scene, built), built)) > 47
 
 
 class Facet:
@@ -310,30 +319,31 @@ class Facet:
         built = rolling(scene)
         self.scene = showing(replace(scene, views=views), built)
         self.heights = built.heights_mm[1, 2].copy()
-        self.centre, self.optics = scene.lens.facet_centres_mm()[1, 2], _optics(built)
-        self.samples = _samples(scene.lens, LOOKS[0])
-        self.sights = _sights(self.scene, self.samples.pixels)
-        self.triangles, self.channels = 2 * scene.lens.microfacets**2, len(self.sights.plane)
+        self.centre, self.optics = scene.lens.facet_centres_mm()[1, 2], optics_for(built)
+        self.samples = samples_of(scene.lens, LOOK_UPS[0])
+        self.pictures = pictures_of(self.scene, self.samples.pixels)
+        self.triangles, self.channels = 2 * scene.lens.microfacets**2, len(self.pictures.plane)
         self.seen = self.look(self.heights)
 
-    def look(self, heights: FloatArray) -> Seen:
-        pixels, pairs = self.samples.pixels**2, len(self.samples.pair_pixel)
-        rays = np.zeros((len(self.sights.eyes_mm), self.triangles, 10))
-        light, residuals = np.zeros((2, pixels, self.channels), np.float32)
+    def look(self, heights: FloatArray) -> Shown:
+        pixels, pairs, eyes = self.samples.pixels**2, len(self.samples.pair_pixel), len(self.pictures.eyes_mm)
+        landing, derivatives = np.zeros((eyes, self.triangles, 2)), np.zeros((2, eyes, self.triangles, 2, 2))
+        residuals = np.zeros((pixels, self.channels), np.float32)
         gradients = np.zeros((pairs, 2, self.channels), np.float32)
-        seen = Seen(np.zeros((self.triangles, 2)), residuals, gradients)
-        error = _look(heights, self.centre, self.samples, self.sights, self.optics, True, rays, light, seen)
+        seen = Shown(np.zeros((self.triangles, 2)), residuals, gradients)
+        rays = Rays(landing, *derivatives)
+        error = predict(heights, self.centre, self.samples, self.pictures, self.optics, True, rays, seen)
         assert error == pytest.approx((seen.residuals.astype(float) ** 2).mean(), rel=1e-5)
         return seen
 
     def slopes(self, heights: FloatArray) -> FloatArray:
         out = np.zeros((self.triangles, 2))
-        _slopes(heights, self.samples.cell_mm, out)
+        triangle_slopes(heights, self.samples.cell_mm, out)
         return out
 
     def along(self, slopes: FloatArray) -> FloatArray:
         out = np.zeros_like(self.seen.residuals)
-        _along(self.samples, self.seen, slopes, out)
+        residual_change(self.samples, self.seen, slopes, out)
         return out
 
 
@@ -359,14 +369,14 @@ def test_slopes_are_those_along_plus_x_and_plus_y() -> None:
 
 @scenes
 def test_forces_are_pulled_back_the_way_that_changes_go(make: Callable[[], Scene]) -> None:
-    """``_pull`` is the transpose of ``_slopes``, and ``_back`` that of ``_along``."""
+    """Of heights and slopes, and of slopes and residuals."""
     facet, rng = Facet(make), np.random.default_rng(RNG)
     heights, forces = rng.normal(size=facet.heights.shape), rng.normal(size=(facet.triangles, 2))
     pulled = np.zeros_like(heights)
-    _pull(forces, facet.samples.cell_mm, pulled)
+    triangle_slopes_transposed(forces, facet.samples.cell_mm, pulled)
     assert (pulled * heights).sum() == pytest.approx((forces * facet.slopes(heights)).sum(), rel=1e-9)
     residuals, back = rng.normal(size=facet.seen.residuals.shape).astype(np.float32), np.zeros_like(forces)
-    _back(facet.samples, facet.seen, residuals, back)
+    residual_change_transposed(facet.samples, facet.seen, residuals, back)
     assert (back * forces).sum() == pytest.approx((residuals * facet.along(forces)).sum(), rel=1e-3)
 
 
@@ -376,10 +386,10 @@ def test_a_spectrum_has_its_field_and_eigenvalues_of_the_laplacian() -> None:
     matrix, eigenvalues = cosines(k)
     matrix = np.ascontiguousarray(matrix)
     spectrum, work, out = np.zeros((k, k)), np.zeros((k, k)), np.zeros((k, k))
-    _spectrum(h, matrix, work, spectrum)
-    _field(spectrum, matrix, work, out)
+    to_spectrum(h, matrix, work, spectrum)
+    to_field(spectrum, matrix, work, out)
     np.testing.assert_allclose(out, h, atol=1e-12)
-    _field(eigenvalues * spectrum, matrix, work, out)
+    to_field(eigenvalues * spectrum, matrix, work, out)
     assert (h * out).sum() == pytest.approx((np.diff(h, axis=0) ** 2).sum() + (np.diff(h, axis=1) ** 2).sum())
 
 

@@ -11,7 +11,7 @@ from magiclens.drawing.figure import Figure
 from magiclens.drawing.scales import DIVERGING, GLOW, ColourScale
 from magiclens.drawing.shading import sample_heights, shade_heights
 from magiclens.drawing.tiles import OVERSAMPLING, Tile, mean_of_blocks, paint_smoothly, to_pixels
-from magiclens.integration.measures import steps
+from magiclens.integration.surface_metrics import wall_steps
 
 _SIDE = 640
 
@@ -35,7 +35,7 @@ def height_map(field: HeightField) -> Figure:
 
 def step_map(field: HeightField) -> Figure:
     """The step across every wall, drawn where the wall is."""
-    right, below = steps(field.heights_mm)
+    right, below = wall_steps(field.heights_mm)
     jumps = np.concatenate([right.ravel(), below.ravel()]) if right.size else np.zeros(1)
     scale = ColourScale(GLOW, 0.0, max(float(np.quantile(jumps, 0.995)), 1e-3))
     caption = f"mean {jumps.mean():.3f} mm, highest {jumps.max():.2f} mm"

@@ -1,4 +1,4 @@
-"""Orientation and integration, alternated until the surface stands still: the outer loop of every integrator (4.5)."""
+"""Orientation and integration, alternated until the surface no longer moves: the outer loop of integrators (4.5)."""
 
 from __future__ import annotations
 
@@ -10,23 +10,34 @@ import numpy as np
 from magiclens.contract.artifacts import Assignment, FloatArray, HeightField, Scene
 from magiclens.contract.errors import StageError
 from magiclens.contract.stages import Progress
-from magiclens.integration.measures import measures
 from magiclens.integration.orientation import edge_rises
+from magiclens.integration.surface_metrics import surface_metrics
 
 Solve = Callable[[FloatArray, FloatArray, FloatArray, int], FloatArray]
 """From edge rises along rows and columns (see ``edge_rises``), the heights now and the round, to new heights."""
 
-STUCK_MM = 1e-2
-"""A surface that still moves by more than this after the last round has not converged."""
+_STUCK_MM = 1e-2
+"""A surface that still moves by more than this after the last round has not converged, mm."""
 
 
 def iterate(
     scene: Scene, assignment: Assignment, solve: Solve, rounds: int, tolerance: float, progress: Progress
 ) -> HeightField:
-    """Alternate until no height moves by more than ``tolerance`` mm; StageError names the facet that will not rest.
+    """Alternate orientation and integration until no height moves by more than the tolerance.
 
     Normals depend on heights only weakly, so the iteration contracts; where a change grows all the same, smaller
     steps are taken.
+
+    Args:
+        scene: the lens and its views.
+        assignment: what the facets shall show.
+        solve: integrates slopes to heights.
+        rounds: rounds, at most.
+        tolerance: mm.
+        progress: is told the share of the rounds that are done.
+
+    Raises:
+        StageError: heights do not converge, or leave the relief; it names the facet.
     """
     lens = scene.lens
     heights = np.zeros((lens.facets, lens.facets, lens.microfacets + 1, lens.microfacets + 1))
@@ -40,7 +51,7 @@ def iterate(
         progress((done + 1) / rounds)
         if change < tolerance:
             break
-    if change > STUCK_MM:
+    if change > _STUCK_MM:
         i, j = np.unravel_index(np.abs(move).max(axis=(2, 3)).argmax(), move.shape[:2])
         raise StageError(
             f"heights did not converge: facet (row {i}, column {j}) still moves by {change:.3g} mm; "
@@ -48,7 +59,7 @@ def iterate(
         )
     check_relief(heights, lens.relief_mm)
     built = HeightField(lens, heights, scene.cut_eye_mm)
-    metrics = measures(built) | {
+    metrics = surface_metrics(built) | {
         "integration_rounds": done + 1.0,
         "integration_change_mm": change,
         "facets_at_slope_limit": float((clamped > 0).sum()),
@@ -57,7 +68,11 @@ def iterate(
 
 
 def check_relief(heights: FloatArray, relief: float) -> None:
-    """Raise StageError naming the facet that leaves the reference plane by more than ``relief`` mm."""
+    """Refuse heights (N, N, k, k), mm, that leave the reference plane by more than ``relief`` mm.
+
+    Raises:
+        StageError: it names the facet that is tallest.
+    """
     tallest = np.abs(heights).max(axis=(2, 3))
     if tallest.max() > relief * (1 + 1e-9):
         i, j = np.unravel_index(tallest.argmax(), tallest.shape)

@@ -13,7 +13,7 @@ from magiclens.contract.artifacts import Assignment, FloatArray, HeightField, Sc
 from magiclens.contract.stages import Integrator, Progress, silent
 from magiclens.contract.units import Length
 from magiclens.integration.laplacian import cosines, divergence
-from magiclens.integration.measures import measures
+from magiclens.integration.surface_metrics import surface_metrics
 
 _SETTLING = 3
 """Rounds after which `light` placement keeps its levels: its energy has kinks, at which it would oscillate."""
@@ -69,7 +69,7 @@ class Poisson(Integrator):
         if self.step_limit is None:
             return built
         limited = replace(built, heights_mm=limit_steps(built.heights_mm, self.step_limit))
-        return replace(limited, metrics={**built.metrics, **measures(limited)})
+        return replace(limited, metrics={**built.metrics, **surface_metrics(limited)})
 
     def refine(self, scene: Scene, built: HeightField, progress: Progress = silent) -> HeightField:
         """Move the facets' vertices so that they show their tiles better; borders stay where steps are limited."""

@@ -1,7 +1,7 @@
 """Free-form refinement: facets stop being quadratic lenslets and take the shape that shows their tile best.
 
 Matching gives every facet one affine map of one patch. Such a lenslet is only where to start: its micro-facets can turn
-one by one, as long as they stay connected, until every edge in the picture is where it belongs and plain places are
+one by one, as long as they stay connected, until every edge in the picture is where it belongs and plain areas are
 plain. The paper stops at the lenslet (4.5).
 """
 
@@ -17,55 +17,70 @@ from scipy.ndimage import gaussian_filter
 from magiclens.contract.artifacts import BoolArray, FloatArray, HeightField, Lens, Scene
 from magiclens.images import resize, to_display
 from magiclens.integration.laplacian import cosines
-from magiclens.integration.measures import measures
-from magiclens.integration.refinement_kernels import Metric, Samples, Sights, refine_facets
+from magiclens.integration.refinement_kernels import Descent, Metric, Pictures, Samples, refine_facets
+from magiclens.integration.surface_metrics import surface_metrics
 from magiclens.optics.medium import Cut, Optics, optics_of
 
-BLURS = (0.08, 0.03, 0.0)
-"""Blurs of the sources, one after the other, of a facet's width: rays find their way down a blurred edge from afar."""
-LOOKS = (3, 3, 6)
-"""Look-ups of the source along a micro-facet's side, about: what falls between them is shaped by chance."""
-ITERATIONS = 3
-"""Of conjugate gradients per step."""
-PERFECT = 1e-7
-"""Mean squared difference of what a facet shows and its tile that is not worth a step."""
-ENOUGH = 3e-3
-"""A step that lowers a facet's error by a smaller share is its last."""
-RESOLUTION, FINEST, COARSEST = 512, 1.5, 0.35
-"""Pixels along the lens's side in which its picture is compared; pixels per micro-facet, at most and at least."""
-DISPLAY = 8192
-"""Entries of the table of display values."""
-AT_ONCE = 512
-"""Facets between two reports of progress."""
+_BLURS = (0.08, 0.03, 0.0)
+"""Blurs of the sources, one after the other, in facet widths: rays find their way down a blurred edge from far away."""
+LOOK_UPS = (3, 3, 6)
+"""Approximate number of look-ups of the source along a micro-facet's side, per blur.
 
-Place = Callable[[FloatArray, FloatArray], FloatArray]
-"""From shapes (N, N, k, k), zero mean, and what they stand at (N, N) to what they shall stand at, mm."""
+With few of them, a detail of the source between two look-ups has no influence on the shape."""
+_ITERATIONS = 3
+"""Iterations of conjugate gradients per step."""
+_PERFECT = 1e-7
+"""Mean squared difference of what a facet shows and its tile that is not worth a step."""
+_ENOUGH = 3e-3
+"""A step that lowers a facet's error by a smaller share is its last."""
+_RESOLUTION = 512
+"""Number of pixels along the lens's side in which its picture is compared, within the bounds below."""
+_FINEST, _COARSEST = 1.5, 0.35
+"""Most and least pixels along a micro-facet's side."""
+_DISPLAY_ENTRIES = 8192
+"""Number of entries of the table of display values."""
+_AT_ONCE = 512
+"""Number of facets between two reports of progress."""
+
+Relevel = Callable[[FloatArray, FloatArray], FloatArray]
+"""From shapes (N, N, k, k) of zero mean, mm, and facets' levels (N, N), mm, to new levels (N, N), mm."""
 
 
 def refine(
     scene: Scene, built: HeightField, rounds: int, progress: Callable[[float], None],
-    place: Place | None = None, locked: bool = False,
+    relevel: Relevel | None = None, locked: bool = False,
 ) -> HeightField:  # fmt: skip
-    """A height field whose facets show their tiles better than those of ``built``; others keep their shapes.
+    """Turn the micro-facets of a height field so that its facets show their tiles better.
 
-    At most ``rounds`` Gauss-Newton steps per facet and blur of the sources. place: facets are raised or lowered so
-    before the last blur, which makes up for what they then show elsewhere. locked: the facets' borders stay. A facet
-    that would leave the lens's relief keeps its shape.
+    Args:
+        scene: the lens and its views.
+        built: lenslets to begin with.
+        rounds: Gauss-Newton steps per facet and blur of the sources, at most.
+        progress: is told the share of the work that is done.
+        relevel: gives the facets new levels before the last blur, which corrects what they then show amiss; None
+            leaves the levels.
+        locked: whether the facets' border vertices stay.
+
+    Returns:
+        The refined height field. A facet that is not better for it, or that would leave the lens's relief, keeps its
+        shape.
     """
     facets = _Facets(scene, built, locked)
     progress(0.1)
-    for stage, (blur, looks) in enumerate(zip(BLURS, LOOKS, strict=True)):
-        if stage == len(BLURS) - 1:
-            facets.keep_better(facets.errors())  # others start from their given shapes again, now with a sharp source
-            if place:
-                facets.stand(place)
-        last = facets.descend(blur, looks, rounds, partial(_tell, progress, stage))
+    for stage, (blur, look_ups) in enumerate(zip(_BLURS, LOOK_UPS, strict=True)):
+        if stage == len(_BLURS) - 1:
+            # facets that blurred sources led astray start from their given shapes again, now with a sharp source
+            facets.keep_better(facets.errors())
+            if relevel:
+                facets.relevel(relevel)
+        last = facets.descend(blur, look_ups, rounds, partial(_tell, progress, stage))
     refined = facets.keep_better(last)
     after = replace(built, heights_mm=facets.heights.reshape(built.heights_mm.shape))
-    return replace(after, metrics={**built.metrics, **measures(after), "facets_refined": float(refined.mean())})
+    metrics = {**built.metrics, **surface_metrics(after), "facets_refined": float(refined.mean())}
+    return replace(after, metrics=metrics)
 
 
-def foreseen(scene: Scene, built: HeightField) -> FloatArray:
+def predicted_errors(scene: Scene, built: HeightField) -> FloatArray:
     """(N, N) mean squared differences, in display values, of what facets show and their tiles, if no wall were there.
 
     Infinite where a ray does not arrive at all.
@@ -82,45 +97,45 @@ class _Facets:
 
     def __init__(self, scene: Scene, built: HeightField, locked: bool):
         k, lens = scene.lens.microfacets + 1, scene.lens
-        self._lens, self._optics, self._centres = lens, _optics(built), lens.facet_centres_mm().reshape(-1, 2)
-        self._samples = {looks: _samples(lens, looks) for looks in LOOKS}
-        finest = self._samples[LOOKS[-1]]
-        self._sights = _sights(scene, finest.pixels)
+        self._lens, self._optics, self._centres = lens, optics_for(built), lens.facet_centres_mm().reshape(-1, 2)
+        self._samples = {look_ups: samples_of(lens, look_ups) for look_ups in LOOK_UPS}
+        finest = self._samples[LOOK_UPS[-1]]
+        self._pictures = pictures_of(scene, finest.pixels)
         matrix, eigenvalues = cosines(k)
-        self._metric = Metric(np.ascontiguousarray(matrix), eigenvalues / finest.cell_mm**2)
-        self._free = np.ones((k, k))
+        free = np.ones((k, k))
         if locked:
-            self._free[[0, -1], :] = self._free[:, [0, -1]] = 0.0
+            free[[0, -1], :] = free[:, [0, -1]] = 0.0
+        self._metric = Metric(np.ascontiguousarray(matrix), eigenvalues / finest.cell_mm**2, free)
         self.heights = built.heights_mm.reshape(-1, k, k).copy()
-        self._given, self._amiss = self.heights.copy(), np.arange(len(self.heights))
+        self._given, self._imperfect = self.heights.copy(), np.arange(len(self.heights))
         self.first = self.errors()
-        self._amiss = np.flatnonzero(self.first > PERFECT)
+        self._imperfect = np.flatnonzero(self.first > _PERFECT)
 
     def errors(self) -> FloatArray:
         """(F,) errors as they are; inf for perfect ones."""
-        return self.descend(0.0, LOOKS[-1], 0, lambda _: None)
+        return self.descend(0.0, LOOK_UPS[-1], 0, lambda _: None)
 
-    def descend(self, blur: float, looks: int, rounds: int, progress: Callable[[float], None]) -> FloatArray:
-        """(F,) errors after at most so many steps; inf for perfect ones. blur: of the sources, of a facet's width."""
-        sights, samples = _blurred(self._sights, blur * self._lens.pitch_mm), self._samples[looks]
+    def descend(self, blur: float, look_ups: int, rounds: int, progress: Callable[[float], None]) -> FloatArray:
+        """(F,) errors after at most so many steps; inf for perfect ones. blur: of the sources, in facet widths."""
+        pictures, samples = _blurred(self._pictures, blur * self._lens.pitch_mm), self._samples[look_ups]
+        descent = Descent(rounds, _ITERATIONS, _ENOUGH)
         errors = np.full(len(self.heights), np.inf)
-        for first in range(0, len(self._amiss), AT_ONCE):
-            part = self._amiss[first : first + AT_ONCE]
+        for first in range(0, len(self._imperfect), _AT_ONCE):
+            part = self._imperfect[first : first + _AT_ONCE]
             heights, after = self.heights[part], np.zeros(len(part))
             refine_facets(
-                heights, self._centres[part], samples, sights, self._optics, self._metric, self._free,
-                rounds, ITERATIONS, ENOUGH, after,
-            )  # fmt: skip
+                heights, self._centres[part], samples, pictures, self._optics, self._metric, descent, after
+            )
             self.heights[part], errors[part] = heights, after
-            progress(min(1.0, (first + AT_ONCE) / len(self._amiss)))
+            progress(min(1.0, (first + _AT_ONCE) / len(self._imperfect)))
         return errors
 
-    def stand(self, place: Place) -> None:
-        """Raise or lower facets, and their given shapes with them, to where ``place`` wants them."""
+    def relevel(self, levels_for: Relevel) -> None:
+        """Raise or lower facets, and their given shapes with them; none leaves the relief for it."""
         n, k = self._lens.facets, self._lens.microfacets + 1
         levels = self.heights.mean(axis=(1, 2))
         shapes = (self.heights - levels[:, None, None]).reshape(n, n, k, k)
-        rise = (place(shapes, levels.reshape(n, n)).ravel() - levels)[:, None, None]
+        rise = (levels_for(shapes, levels.reshape(n, n)).ravel() - levels)[:, None, None]
         rise[np.abs(self._given + rise).max(axis=(1, 2)) > self._lens.relief_mm] = 0.0
         self.heights, self._given = self.heights + rise, self._given + rise
 
@@ -132,13 +147,14 @@ class _Facets:
 
 
 def _tell(progress: Callable[[float], None], stage: int, done: float) -> None:
-    progress(0.1 + 0.9 * (stage + done) / len(BLURS))
+    progress(0.1 + 0.9 * (stage + done) / len(_BLURS))
 
 
-def _samples(lens: Lens, looks: int) -> Samples:
+def samples_of(lens: Lens, look_ups: int) -> Samples:
+    """Where the facets of a lens are sampled, with about so many look-ups along a micro-facet's side."""
     m = lens.microfacets
-    pixels = round(min(max(RESOLUTION / lens.facets, COARSEST * m), FINEST * m))
-    per_pixel = max(2, round(looks * m / pixels))
+    pixels = round(min(max(_RESOLUTION / lens.facets, _COARSEST * m), _FINEST * m))
+    per_pixel = max(2, round(look_ups * m / pixels))
     cell, side = (lens.pitch_mm - lens.wall_mm) / m, pixels * per_pixel
     at = (np.arange(side) + 0.5) * m / side
     right, down = (a.ravel() for a in np.meshgrid(at, at))
@@ -147,40 +163,44 @@ def _samples(lens: Lens, looks: int) -> Samples:
     triangle = 2 * (i * m + j) + upper
     pixel = np.add.outer(np.arange(side) // per_pixel * pixels, np.arange(side) // per_pixel).ravel()
     pairs, pair = np.unique(pixel * (2 * m * m) + triangle, return_inverse=True)
+    # centroids lie a third of a cell from the right angle, which is at the lower left or at the upper right
     return Samples(
         cell, pixels, side, triangle, (right - j - (1 + upper) / 3) * cell, (i + (2 - upper) / 3 - down) * cell,
         pair, pairs // (2 * m * m), pairs % (2 * m * m),
     )  # fmt: skip
 
 
-def _optics(built: HeightField) -> Optics:
+def optics_for(built: HeightField) -> Optics:
     """What a height field refracts with; the eye of vertical cells makes no difference."""
     eye = np.zeros(3) if built.eye_mm is None else np.asarray(built.eye_mm, float)
     return optics_of(built.lens, Cut(eye, built.eye_mm is None))
 
 
-def _sights(scene: Scene, pixels: int) -> Sights:
-    """Views side by side that share an eye in the lens frame; equal sources are kept once."""
+def pictures_of(scene: Scene, pixels: int) -> Pictures:
+    """What the eyes of a scene see and should see, with so many target pixels along a facet's side.
+
+    Views that share an eye in the lens frame stand side by side; equal sources are kept once.
+    """
     lens, given = scene.lens, sorted(scene.views, key=lambda view: tuple(view.eye_in_lens_frame_mm.round(6)))
     views = [view.in_lens_frame() for view in given]
     colours, side = views[0].source.shape[2], max(len(view.source) for view in views)
     names = [(view.source_name, view.quarter_turns) for view in given]
     sources = {name: resize(view.source, (side, side)) for name, view in zip(names, views, strict=True)}
-    places = {name: k * colours for k, name in enumerate(sources)}
+    planes = {name: k * colours for k, name in enumerate(sources)}
     eyes, first = np.unique([view.eye_mm.round(6) for view in views], axis=0, return_index=True)
     targets = [resize(view.target, (lens.facets * pixels,) * 2) for view in views]
-    return Sights(
+    return Pictures(
         eyes,
         np.append(first, len(views)) * colours,
-        np.concatenate([places[name] + np.arange(colours) for name in names]),
+        np.concatenate([planes[name] + np.arange(colours) for name in names]),
         np.concatenate(list(sources.values()), axis=-1),
         lens.source_size_mm,
         to_display(np.concatenate(targets, axis=-1)),
         lens.size_mm,
-        to_display(np.linspace(0, 1, DISPLAY, dtype=np.float32)),
+        to_display(np.linspace(0, 1, _DISPLAY_ENTRIES, dtype=np.float32)),
     )
 
 
-def _blurred(sights: Sights, blur_mm: float) -> Sights:
-    sigma = blur_mm * len(sights.sources) / sights.source_mm
-    return sights._replace(sources=gaussian_filter(sights.sources, (sigma, sigma, 0), mode="constant"))
+def _blurred(pictures: Pictures, blur_mm: float) -> Pictures:
+    sigma = blur_mm * len(pictures.sources) / pictures.source_mm
+    return pictures._replace(sources=gaussian_filter(pictures.sources, (sigma, sigma, 0), mode="constant"))

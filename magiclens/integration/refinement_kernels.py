@@ -1,8 +1,12 @@
-"""The kernels of ``refine``: Gauss-Newton steps on what every facet shows, all of its vertices free.
+"""Gauss-Newton steps on the shapes of facets, compiled: all of their vertices are free.
 
-A facet's unknowns are its (m + 1) x (m + 1) heights. Its picture is cut into P x P pixels, each of which averages S x S
-look-ups of the source. A flat triangle sends its look-ups to a landing point and around it, and its two slopes move the
-landing point. The residuals are differences of display values per pixel and channel.
+A facet's unknowns are its k x k = (m + 1) x (m + 1) heights. Its picture is cut into P x P pixels, each of which
+averages S x S look-ups of the source. A flat triangle sends its look-ups to a landing point and around it, and its two
+slopes move the landing point. The residuals are differences of display values per pixel and channel.
+
+The letters in shapes: F facets, k x k vertices and T = 2 m^2 triangles of a facet, P x P pixels of a facet, S x S
+look-ups per pixel, L = (P S)^2 look-ups of a facet, K pairs of a pixel and a triangle that it sees, E eyes, C channels
+of all eyes.
 """
 
 from __future__ import annotations
@@ -16,22 +20,33 @@ from numba import njit, prange
 from magiclens.contract.artifacts import FloatArray, IntArray
 from magiclens.optics.eyes import land, project, surface_point
 
-SLOPE_STEP, SPAN_STEP_MM = 1e-4, 0.02
-"""Of the finite differences."""
-LIGHT_STEP = 20
+_SLOPE_STEP = 1e-4
+"""Step of the finite differences along a triangle's slopes."""
+_SPAN_STEP_MM = 0.02
+"""Step of the finite differences along a triangle's surface, mm."""
+_LIGHT_STEP = 20
 """Entries of the display table on each side over which its slope is taken: near black it is steep."""
-DAMPING, LEAST_DAMPING, MOST_DAMPING = 0.1, 1e-4, 1e2
-"""Of the Gauss-Newton steps, relative to the mean square of the gradients: the first, the least and the most."""
-FLATNESS = 1e-3
-"""Pull on heights, beside that on slopes, per mm^2: what keeps a facet's mean where it is."""
+_FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 0.1, 1e-4, 1e2
+"""Damping of the Gauss-Newton steps, relative to the mean square of the gradients: the first, the least, the most."""
+_FLATNESS = 1e-3
+"""Pull on heights, beside that on slopes, per mm^2: it keeps a facet's mean where it is."""
 
 
 class Samples(NamedTuple):
-    """Where a facet is looked at; the same for all facets.
+    """Where on a facet its picture is sampled; the same for all facets.
 
-    cell_mm: side of a micro-facet. pixels: P. per_side: P S. triangle, pair: (P S * P S,), the triangle of each look-up
-    and its pair of pixel and triangle; right_mm, up_mm: the look-up's place from the triangle's centroid. pair_pixel,
-    pair_triangle: (K,). Triangle 2 (i m + j) is the lower left half of cell (i, j), the next one the upper right.
+    Triangle 2 (i m + j) is the lower left half of cell (i, j), the next one the upper right.
+
+    Args:
+        cell_mm: side of a micro-facet, mm.
+        pixels: P.
+        per_side: P S.
+        triangle: (L,) the triangle of each look-up.
+        right_mm: (L,) distance of each look-up from its triangle's centroid along +x, mm.
+        up_mm: (L,) the same along +y, mm.
+        pair: (L,) pair of pixel and triangle of each look-up.
+        pair_pixel: (K,) pixel of each pair.
+        pair_triangle: (K,) triangle of each pair.
     """
 
     cell_mm: float
@@ -45,12 +60,18 @@ class Samples(NamedTuple):
     pair_triangle: IntArray
 
 
-class Sights(NamedTuple):
-    """What the eyes see and should see; lens frame, mm.
+class Pictures(NamedTuple):
+    """The sources that the eyes look at and the targets that they should see, lens frame.
 
-    eyes_mm: (E, 3). first: (E + 1,), eye e has the channels first[e] to first[e + 1] - 1. plane: (C,), the channel's
-    source among sources (H, W, planes), linear light, which covers a square of the side source_mm. targets: (R, R, C),
-    display values, over the lens's square of the side size_mm. display: display values of evenly spaced linear light.
+    Args:
+        eyes_mm: (E, 3) mm.
+        first: (E + 1,) eye e has the channels first[e] to first[e + 1] - 1.
+        plane: (C,) which plane of ``sources`` a channel looks at.
+        sources: (H, W, planes) float32 linear light.
+        source_mm: side of the square that the sources cover, mm.
+        targets: (R, R, C) float32 display values.
+        size_mm: side of the lens's square, which the targets cover, mm.
+        display: (entries,) float32 display values of evenly spaced linear light from 0 to 1.
     """
 
     eyes_mm: FloatArray
@@ -64,24 +85,70 @@ class Sights(NamedTuple):
 
 
 class Metric(NamedTuple):
-    """The cosine transform (k, k) of a facet's vertices, and the eigenvalues (k, k) of their Laplacian, per mm^2."""
+    """How changes of a facet's heights are measured, and which of them are allowed.
+
+    Args:
+        cosines: (k, k) the orthonormal cosine transform of a line of vertices.
+        laplacian: (k, k) the eigenvalues of the vertices' Laplacian, per mm^2.
+        free: (k, k) 0 for vertices that keep their height, 1 for others.
+    """
 
     cosines: FloatArray
     laplacian: FloatArray
+    free: FloatArray
 
 
-class View(NamedTuple):
-    """A facet as it is seen: slopes (T, 2) of its triangles; residuals (P P, C); their derivatives along the slopes of
-    the triangle, gradients (K, 2, C), per pair of pixel and triangle."""
+class Descent(NamedTuple):
+    """When the steps end.
+
+    Args:
+        rounds: steps of a facet, at most.
+        iterations: iterations of conjugate gradients per step.
+        enough: a step that lowers the error by a smaller share is a facet's last.
+    """
+
+    rounds: int
+    iterations: int
+    enough: float
+
+
+class Shown(NamedTuple):
+    """What a facet shows, and how that changes with its slopes.
+
+    Args:
+        slopes: (T, 2) slopes of the triangles along +x and +y.
+        residuals: (P P, C) float32 what is shown less the target, display values.
+        gradients: (K, 2, C) float32 derivatives of a pair's share of its pixel along the slopes of its triangle.
+    """
 
     slopes: FloatArray
     residuals: FloatArray
     gradients: FloatArray
 
 
+class Rays(NamedTuple):
+    """Where the rays through a facet's triangles land.
+
+    Args:
+        landing: (..., T, 2) landing point of the ray through a triangle's centroid, mm.
+        by_slope: (..., T, 2, 2) its derivatives: [slope, x or y of the landing point], mm.
+        by_position: (..., T, 2, 2) derivatives along +x and +y over the triangle: [direction, x or y], mm per mm.
+    """
+
+    landing: FloatArray
+    by_slope: FloatArray
+    by_position: FloatArray
+
+
 @njit(cache=True)
 def _land(u, v, height, along_u, along_v, eye, optics):
-    """Where the eye's ray through the surface over (u, v), with these slopes, meets the source; and whether it does."""
+    """Where an eye's ray through the surface over (u, v) meets the source, see ``optics.eyes.land``.
+
+    With ``along_u`` = dh/du and ``along_v`` = dh/dv the unit normal is ``q (-along_u, -along_v, nz)``.
+
+    Returns:
+        x, y of the landing point, mm; whether the ray arrives and the surface is not steeper than allowed.
+    """
     nz = 1.0
     if not optics.vertical:
         cut_eye = optics.eye
@@ -93,8 +160,8 @@ def _land(u, v, height, along_u, along_v, eye, optics):
 
 
 @njit(cache=True)
-def _slopes(heights, cell, out):
-    """out (T, 2): the slopes of a facet's triangles along +x and +y; linear in its heights."""
+def triangle_slopes(heights, cell, out):
+    """Fill out (T, 2) with the slopes of a facet's triangles along +x and +y, which are linear in its heights."""
     m = len(heights) - 1
     for i in range(m):
         for j in range(m):
@@ -105,8 +172,8 @@ def _slopes(heights, cell, out):
 
 
 @njit(cache=True)
-def _pull(forces, cell, out):
-    """out (k, k): the transpose of ``_slopes``."""
+def triangle_slopes_transposed(forces, cell, out):
+    """Fill out (k, k) with the transpose of ``triangle_slopes``, applied to forces (T, 2)."""
     m = len(out) - 1
     out[:] = 0.0
     for i in range(m):
@@ -124,8 +191,20 @@ def _pull(forces, cell, out):
 
 @njit(cache=True)
 def _aim(heights, slopes, centre, eye, samples, optics, derive, rays):
-    """rays (T, 10): every triangle's landing point and, if ``derive``, its derivatives along both slopes and both ways
-    over the triangle, which hardly change. False if a ray does not arrive, or a triangle is steeper than allowed.
+    """Fill rays with every triangle's landing point and its derivatives, by finite differences.
+
+    Args:
+        heights: (k, k) of the facet, mm.
+        slopes: (T, 2) of its triangles.
+        centre: (2,) of the facet, mm.
+        eye: (3,) mm.
+        samples: of a facet.
+        optics: an ``optics.medium.Optics``.
+        derive: whether the derivatives are filled in; they change little from step to step.
+        rays: to fill.
+
+    Returns:
+        False if a ray does not arrive, or a triangle is steeper than allowed.
     """
     m, cell = len(heights) - 1, samples.cell_mm
     for t in range(2 * m * m):
@@ -137,55 +216,69 @@ def _aim(heights, slopes, centre, eye, samples, optics, derive, rays):
         x, y, there = _land(u, v, h, a, b, eye, optics)
         if not there:
             return False
-        rays[t, 0], rays[t, 1] = x, y
+        rays.landing[t, 0], rays.landing[t, 1] = x, y
         for k in range(4 if derive else 0):
-            du, dv = (SPAN_STEP_MM if k == 2 else 0.0), (SPAN_STEP_MM if k == 3 else 0.0)
-            da, db = (SLOPE_STEP if k == 0 else 0.0), (SLOPE_STEP if k == 1 else 0.0)
+            du, dv = (_SPAN_STEP_MM if k == 2 else 0.0), (_SPAN_STEP_MM if k == 3 else 0.0)
+            da, db = (_SLOPE_STEP if k == 0 else 0.0), (_SLOPE_STEP if k == 1 else 0.0)
             ax, ay, good = _land(u + du, v + dv, h + a * du + b * dv, a + da, b + db, eye, optics)
-            step = SLOPE_STEP if k < 2 else SPAN_STEP_MM
-            rays[t, 2 + 2 * k] = (ax - x) / step if good else 0.0
-            rays[t, 3 + 2 * k] = (ay - y) / step if good else 0.0
+            step = _SLOPE_STEP if k < 2 else _SPAN_STEP_MM
+            out = rays.by_slope[t, k] if k < 2 else rays.by_position[t, k - 2]
+            out[0] = (ax - x) / step if good else 0.0
+            out[1] = (ay - y) / step if good else 0.0
     return True
 
 
 @njit(cache=True, fastmath={"contract", "reassoc", "arcp"})
-def _gather(samples, rays, sights, e, light, gradients):
-    """Add up the source's light per pixel and channel of eye e, and its derivatives per pair; both are sums."""
-    rows = len(sights.sources)
-    per_mm, middle = rows / sights.source_mm, 0.5 * rows - 0.5
+def _gather(samples, rays, pictures, e, light, gradients):
+    """Add up the source's light over the look-ups of one eye: per pixel, and its derivatives along slopes per pair.
+
+    A look-up at p from its triangle's centroid takes the source at ``landing + by_position p``, between pixels; its
+    derivative along a slope is ``gradient of the source . by_slope``.
+
+    Args:
+        samples: of a facet.
+        rays: of the eye through the facet's triangles.
+        pictures: sources and targets.
+        e: the eye.
+        light: (P P, C) to add to.
+        gradients: (K, 2, C) to add to.
+    """
+    landing, by_slope, by_position = rays
+    rows = len(pictures.sources)
+    per_mm, middle = rows / pictures.source_mm, 0.5 * rows - 0.5
     for s in range(samples.per_side * samples.per_side):
-        ray, k = rays[samples.triangle[s]], samples.pair[s]
-        x = ray[0] + ray[6] * samples.right_mm[s] + ray[8] * samples.up_mm[s]
-        y = ray[1] + ray[7] * samples.right_mm[s] + ray[9] * samples.up_mm[s]
+        t, k = samples.triangle[s], samples.pair[s]
+        x = landing[t, 0] + by_position[t, 0, 0] * samples.right_mm[s] + by_position[t, 1, 0] * samples.up_mm[s]
+        y = landing[t, 1] + by_position[t, 0, 1] * samples.right_mm[s] + by_position[t, 1, 1] * samples.up_mm[s]
         column, row = x * per_mm + middle, middle - y * per_mm
         if not (0.0 <= column < rows - 1.001 and 0.0 <= row < rows - 1.001):
             continue  # beside the source it is dark
         i, j = int(row), int(column)
         fy, fx = np.float32(row - i), np.float32(column - j)
         p = samples.pair_pixel[k]
-        for c in range(sights.first[e], sights.first[e + 1]):
-            w = sights.plane[c]
-            tl, tr = sights.sources[i, j, w], sights.sources[i, j + 1, w]
-            bl, br = sights.sources[i + 1, j, w], sights.sources[i + 1, j + 1, w]
+        for c in range(pictures.first[e], pictures.first[e + 1]):
+            w = pictures.plane[c]
+            tl, tr = pictures.sources[i, j, w], pictures.sources[i, j + 1, w]
+            bl, br = pictures.sources[i + 1, j, w], pictures.sources[i + 1, j + 1, w]
             top, low = tl + (tr - tl) * fx, bl + (br - bl) * fx
             light[p, c] += top + (low - top) * fy
             to_x, to_y = ((tr - tl) + ((br - bl) - (tr - tl)) * fy) * per_mm, (top - low) * per_mm
-            gradients[k, 0, c] += to_x * ray[2] + to_y * ray[3]
-            gradients[k, 1, c] += to_x * ray[4] + to_y * ray[5]
+            gradients[k, 0, c] += to_x * by_slope[t, 0, 0] + to_y * by_slope[t, 0, 1]
+            gradients[k, 1, c] += to_x * by_slope[t, 1, 0] + to_y * by_slope[t, 1, 1]
 
 
 @njit(cache=True)
-def _wish(sights, e, px, py, out):
-    """out (C,) = the targets of eye e at a place, between pixels; False beyond the lens's square."""
-    targets = sights.targets
+def _target_at(pictures, e, px, py, out):
+    """Fill out (C,) with the targets of eye e at (px, py), mm, between pixels; False beyond the lens's square."""
+    targets = pictures.targets
     rows = len(targets)
-    column, row = (px / sights.size_mm + 0.5) * rows - 0.5, (0.5 - py / sights.size_mm) * rows - 0.5
+    column, row = (px / pictures.size_mm + 0.5) * rows - 0.5, (0.5 - py / pictures.size_mm) * rows - 0.5
     if not (-0.5 <= column <= rows - 0.5 and -0.5 <= row <= rows - 0.5):
         return False
     column, row = min(max(column, 0.0), rows - 1.0), min(max(row, 0.0), rows - 1.0)
     i, j = min(int(row), rows - 2), min(int(column), rows - 2)
     a, b = np.float32(row - i), np.float32(column - j)
-    for c in range(sights.first[e], sights.first[e + 1]):
+    for c in range(pictures.first[e], pictures.first[e + 1]):
         top = targets[i, j, c] + (targets[i, j + 1, c] - targets[i, j, c]) * b
         low = targets[i + 1, j, c] + (targets[i + 1, j + 1, c] - targets[i + 1, j, c]) * b
         out[c] = top + (low - top) * a
@@ -193,31 +286,50 @@ def _wish(sights, e, px, py, out):
 
 
 @njit(cache=True)
-def _look(heights, centre, samples, sights, optics, derive, rays, light, view):
-    """Fill ``view``; returns the mean squared residual, infinite if the facet cannot be built so. See ``_aim``."""
-    slopes, residuals, gradients = view
-    side, last = samples.pixels, len(sights.display) - 1
+def predict(heights, centre, samples, pictures, optics, derive, rays, shown):
+    """Fill in what a facet shows: ``residual = display(mean light of a pixel's look-ups) - target``.
+
+    The gradients are those of the residuals, by the chain rule; the display curve's slope is taken over some entries
+    of its table.
+
+    Args:
+        heights: (k, k) of the facet, mm.
+        centre: (2,) of the facet, mm.
+        samples: of a facet.
+        pictures: sources and targets.
+        optics: an ``optics.medium.Optics``.
+        derive: whether the rays' derivatives are taken anew.
+        rays: with a leading axis for the eyes, to fill; they keep their derivatives from one prediction to the next.
+        shown: to fill.
+
+    Returns:
+        The mean squared residual; infinite if a ray does not arrive or a triangle is steeper than allowed.
+    """
+    slopes, residuals, gradients = shown
+    light = np.zeros_like(residuals)
+    side, last = samples.pixels, len(pictures.display) - 1
     m, cell = len(heights) - 1, samples.cell_mm
     each = 1.0 / (samples.per_side // side) ** 2
-    _slopes(heights, cell, slopes)
-    light[:], gradients[:] = 0.0, 0.0
+    triangle_slopes(heights, cell, slopes)
+    gradients[:] = 0.0
     total, count = 0.0, 0
-    for e in range(len(sights.eyes_mm)):
-        eye = sights.eyes_mm[e]
-        if not _aim(heights, slopes, centre, eye, samples, optics, derive, rays[e]):
+    for e in range(len(pictures.eyes_mm)):
+        eye = pictures.eyes_mm[e]
+        through = Rays(rays.landing[e], rays.by_slope[e], rays.by_position[e])
+        if not _aim(heights, slopes, centre, eye, samples, optics, derive, through):
             return np.inf
-        _gather(samples, rays[e], sights, e, light, gradients)
+        _gather(samples, through, pictures, e, light, gradients)
         for p in range(side * side):
             right, down = (p % side + 0.5) * m / side, (p // side + 0.5) * m / side
             h = heights[int(down), int(right)]
             u, v = centre[0] + (right - 0.5 * m) * cell, centre[1] + (0.5 * m - down) * cell
             px, py = project(eye, surface_point(optics, u, v, h, optics.depth), optics.depth)
-            seen = _wish(sights, e, px, py, residuals[p])
-            for c in range(sights.first[e], sights.first[e + 1]):
+            seen = _target_at(pictures, e, px, py, residuals[p])
+            for c in range(pictures.first[e], pictures.first[e + 1]):
                 at = min(int(light[p, c] * each * last + 0.5), last)
-                residuals[p, c] = sights.display[at] - residuals[p, c] if seen else 0.0
-                lo, hi = max(at - LIGHT_STEP, 0), min(at + LIGHT_STEP, last)
-                slope = (sights.display[hi] - sights.display[lo]) * last / (hi - lo)
+                residuals[p, c] = pictures.display[at] - residuals[p, c] if seen else 0.0
+                lo, hi = max(at - _LIGHT_STEP, 0), min(at + _LIGHT_STEP, last)
+                slope = (pictures.display[hi] - pictures.display[lo]) * last / (hi - lo)
                 light[p, c] = slope * each if seen else 0.0
                 total += residuals[p, c] ** 2
                 count += seen
@@ -230,118 +342,143 @@ def _look(heights, centre, samples, sights, optics, derive, rays, light, view):
 
 
 @njit(cache=True)
-def _spectrum(field, cosines, work, out):
-    """out (k, k) = the cosine transform of a field (k, k)."""
+def to_spectrum(field, cosines, work, out):
+    """Fill out (k, k) with the cosine transform of a field (k, k); work (k, k) is overwritten."""
     np.dot(cosines, field, work)
     np.dot(work, cosines.T, out)
 
 
 @njit(cache=True)
-def _field(spectrum, cosines, work, out):
-    """out (k, k): the inverse, and transpose, of ``_spectrum``."""
+def to_field(spectrum, cosines, work, out):
+    """Fill out (k, k) with the inverse, and transpose, of ``to_spectrum``; work (k, k) is overwritten."""
     np.dot(cosines.T, spectrum, work)
     np.dot(work, cosines, out)
 
 
 @njit(cache=True, fastmath={"contract", "reassoc", "arcp"})
-def _along(samples, view, slopes, out):
-    """out (P P, C) = the derivative of the residuals along a change of the slopes (T, 2)."""
+def residual_change(samples, shown, slopes, out):
+    """Fill out (P P, C) with the derivative of the residuals along a change of the slopes (T, 2)."""
     out[:] = 0.0
-    for k in range(len(view.gradients)):
+    for k in range(len(shown.gradients)):
         p, t = samples.pair_pixel[k], samples.pair_triangle[k]
         a, b = np.float32(slopes[t, 0]), np.float32(slopes[t, 1])
         for c in range(out.shape[1]):
-            out[p, c] += view.gradients[k, 0, c] * a + view.gradients[k, 1, c] * b
+            out[p, c] += shown.gradients[k, 0, c] * a + shown.gradients[k, 1, c] * b
 
 
 @njit(cache=True, fastmath={"contract", "reassoc", "arcp"})
-def _back(samples, view, residuals, out):
-    """out (T, 2): the transpose of ``_along``."""
+def residual_change_transposed(samples, shown, residuals, out):
+    """Fill out (T, 2) with the transpose of ``residual_change``, applied to residuals (P P, C)."""
     out[:] = 0.0
-    for k in range(len(view.gradients)):
+    for k in range(len(shown.gradients)):
         p, t = samples.pair_pixel[k], samples.pair_triangle[k]
         a, b = np.float32(0.0), np.float32(0.0)
         for c in range(residuals.shape[1]):
-            a += view.gradients[k, 0, c] * residuals[p, c]
-            b += view.gradients[k, 1, c] * residuals[p, c]
+            a += shown.gradients[k, 0, c] * residuals[p, c]
+            b += shown.gradients[k, 1, c] * residuals[p, c]
         out[t, 0] += a
         out[t, 1] += b
 
 
 @njit(cache=True)
-def _step(view, samples, metric, free, damping, iterations, out):
-    """out (k, k) = the damped Gauss-Newton step, by preconditioned conjugate gradients on its cosine spectrum."""
+def _step(shown, samples, metric, damping, iterations, out):
+    """Fill in the damped Gauss-Newton step d, which solves ``(J'J + damping (L + flatness)) d = -J'r``.
+
+    J are the derivatives of the residuals r along the heights, L is the Laplacian of the vertices, scaled like J'J. The
+    solver is conjugate gradients on the cosine spectrum of d, preconditioned by ``1 / (damping (L + flatness) + 0.3
+    L)``, which is diagonal there.
+
+    Args:
+        shown: what the facet shows.
+        samples: of a facet.
+        metric: of its vertices.
+        damping: relative to the mean square of the gradients.
+        iterations: of conjugate gradients.
+        out: (k, k) to fill, mm.
+    """
+    free = metric.free
     k, cell = len(out), samples.cell_mm
     even = 0.0
-    for n in range(len(view.gradients)):
-        for c in range(view.gradients.shape[2]):
-            even += view.gradients[n, 0, c] ** 2 + view.gradients[n, 1, c] ** 2
-    even = even / len(view.slopes) + 1e-12
+    for n in range(len(shown.gradients)):
+        for c in range(shown.gradients.shape[2]):
+            even += shown.gradients[n, 0, c] ** 2 + shown.gradients[n, 1, c] ** 2
+    even = even / len(shown.slopes) + 1e-12
     laplacian = even * metric.laplacian
-    stiff = damping * (laplacian + even * FLATNESS)
+    stiff = damping * (laplacian + even * _FLATNESS)
     inverse = 1.0 / (stiff + 0.3 * laplacian)
-    residual, way, image, total = np.zeros((k, k)), np.zeros((k, k)), np.zeros((k, k)), np.zeros((k, k))
+    residual, direction, image, total = np.zeros((k, k)), np.zeros((k, k)), np.zeros((k, k)), np.zeros((k, k))
     field, work = np.zeros((k, k)), np.zeros((k, k))
-    forces, changes, seen = np.zeros_like(view.slopes), np.zeros_like(view.slopes), np.zeros_like(view.residuals)
-    _back(samples, view, view.residuals, forces)
-    _pull(forces, cell, field)
+    forces, changes, seen = np.zeros_like(shown.slopes), np.zeros_like(shown.slopes), np.zeros_like(shown.residuals)
+    residual_change_transposed(samples, shown, shown.residuals, forces)
+    triangle_slopes_transposed(forces, cell, field)
     field *= -free
-    _spectrum(field, metric.cosines, work, residual)
+    to_spectrum(field, metric.cosines, work, residual)
     old = 1.0
     for n in range(iterations):
         new = (residual * inverse * residual).sum()
         if new <= 1e-18:
             break
-        way *= new / old if n else 0.0
-        way += inverse * residual
-        _field(way, metric.cosines, work, field)
+        direction *= new / old if n else 0.0
+        direction += inverse * residual
+        to_field(direction, metric.cosines, work, field)
         field *= free
-        _slopes(field, cell, changes)
-        _along(samples, view, changes, seen)
-        _back(samples, view, seen, forces)
-        _pull(forces, cell, field)
+        triangle_slopes(field, cell, changes)
+        residual_change(samples, shown, changes, seen)
+        residual_change_transposed(samples, shown, seen, forces)
+        triangle_slopes_transposed(forces, cell, field)
         field *= free
-        _spectrum(field, metric.cosines, work, image)
-        image += stiff * way
-        length = new / (way * image).sum()
-        total += length * way
+        to_spectrum(field, metric.cosines, work, image)
+        image += stiff * direction
+        length = new / (direction * image).sum()
+        total += length * direction
         residual -= length * image
         old = new
-    _field(total, metric.cosines, work, out)
+    to_field(total, metric.cosines, work, out)
     out *= free
 
 
 @njit(cache=True, parallel=True)
-def refine_facets(heights, centres, samples, sights, optics, metric, free, rounds, iterations, enough, errors):
-    """Lower what the facets show amiss, in place, by at most ``rounds`` steps.
+def refine_facets(heights, centres, samples, pictures, optics, metric, descent, errors):
+    """Lower the facets' mean squared residuals, in place, by damped Gauss-Newton steps (Levenberg-Marquardt).
 
-    heights: (F, k, k) mm. centres: (F, 2) mm. free: (k, k), 0 for vertices that stay, 1 for others. iterations: of
-    conjugate gradients per step. enough: a step that lowers the error by a smaller share is a facet's last. errors:
-    (F, 2) is filled with the mean squared residuals before and after.
+    A step that lowers a facet's error is taken, and the damping falls to a third; else the damping grows fivefold.
+
+    Args:
+        heights: (F, k, k) mm, changed in place.
+        centres: (F, 2) mm.
+        samples: of a facet.
+        pictures: sources and targets.
+        optics: an ``optics.medium.Optics``.
+        metric: of a facet's vertices.
+        descent: when steps end.
+        errors: (F,) to fill with the mean squared residuals after the last step.
     """
-    k, pairs, channels = heights.shape[1], len(samples.pair_pixel), len(sights.plane)
+    k, pairs, channels = heights.shape[1], len(samples.pair_pixel), len(pictures.plane)
     triangles, pixels = 2 * (k - 1) ** 2, samples.pixels**2
     for f in prange(len(heights)):
-        rays, light = np.zeros((len(sights.eyes_mm), triangles, 10)), np.zeros((pixels, channels), np.float32)
+        eyes = len(pictures.eyes_mm)
+        rays = Rays(
+            np.zeros((eyes, triangles, 2)), np.zeros((eyes, triangles, 2, 2)), np.zeros((eyes, triangles, 2, 2))
+        )
         slopes, residuals = np.zeros((2, triangles, 2)), np.zeros((2, pixels, channels), np.float32)
         gradients = np.zeros((2, pairs, 2, channels), np.float32)
-        views = [View(slopes[n], residuals[n], gradients[n]) for n in range(2)]
+        predictions = [Shown(slopes[n], residuals[n], gradients[n]) for n in range(2)]
         step, trial, now = np.zeros((k, k)), heights[f].copy(), 0
-        error = _look(trial, centres[f], samples, sights, optics, True, rays, light, views[0])
-        damping = DAMPING
-        for _ in range(rounds):
+        error = predict(trial, centres[f], samples, pictures, optics, True, rays, predictions[0])
+        damping = _FIRST_DAMPING
+        for _ in range(descent.rounds):
             if not 0.0 < error < np.inf:
                 break
-            _step(views[now], samples, metric, free, damping, iterations, step)
+            _step(predictions[now], samples, metric, damping, descent.iterations, step)
             trial[:] = heights[f] + step
-            less = _look(trial, centres[f], samples, sights, optics, False, rays, light, views[1 - now])
+            less = predict(trial, centres[f], samples, pictures, optics, False, rays, predictions[1 - now])
             if less < error:
                 heights[f] = trial
-                gain, error, now, damping = error - less, less, 1 - now, max(damping / 3, LEAST_DAMPING)
-                if gain < enough * error:
+                gain, error, now, damping = error - less, less, 1 - now, max(damping / 3, _LEAST_DAMPING)
+                if gain < descent.enough * error:
                     break
             else:
                 damping *= 5
-                if damping > MOST_DAMPING:
+                if damping > _MOST_DAMPING:
                     break
         errors[f] = error

@@ -12,7 +12,7 @@ from magiclens.contract.artifacts import FloatArray, HeightField, Scene
 from magiclens.contract.checks import BadArtifact, check_height_field
 from magiclens.contract.stages import Integrator, Progress
 from magiclens.geometry.solid import solid_from_heights
-from magiclens.integration.measures import slopes_deg
+from magiclens.integration.surface_metrics import facet_slopes_deg
 from magiclens.testing.scenes import an_assignment, ramps
 from magiclens.testing.stage import SEED, StageCall, StageContract, assert_progress, digest
 
@@ -110,7 +110,7 @@ def _assert_not_steep(scene: Scene, built: HeightField) -> None:
 
 
 def _steepest_deg(built: HeightField) -> float:
-    return float(slopes_deg(built.facet_points_mm()).max())
+    return float(facet_slopes_deg(built.facet_points_mm()).max())
 
 
 def _seen_mm(scene: Scene, built: HeightField) -> FloatArray:

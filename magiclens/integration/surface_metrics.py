@@ -1,0 +1,46 @@
+"""Numbers that fabricators ask of a surface: steps, slopes, extent."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from magiclens.contract.artifacts import FloatArray, HeightField
+
+
+def wall_steps(heights: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Sizes of the steps across the walls between facets.
+
+    Args:
+        heights: (N, N, k, k) mm.
+
+    Returns:
+        Steps between horizontal neighbours (N, N - 1, k), and between vertical ones (N - 1, N, k), mm, at least 0.
+    """
+    right = np.abs(heights[:, :-1, :, -1] - heights[:, 1:, :, 0])
+    below = np.abs(heights[:-1, :, -1, :] - heights[1:, :, 0, :])
+    return right, below
+
+
+def facet_slopes_deg(points: FloatArray) -> FloatArray:
+    """(triangles,) angles between +z and the normals of all triangles of facets (N, N, k, k, 3), mm; see ``Solid``."""
+    right, down = np.diff(points, axis=3), np.diff(points, axis=2)
+    pairs = ((right[:, :, 1:], down[..., :-1, :]), (right[:, :, :-1], down[..., 1:, :]))  # lower left, upper right
+    normals = np.concatenate([np.cross(d, r).reshape(-1, 3) for r, d in pairs])
+    angles: FloatArray = np.degrees(np.arctan2(np.hypot(normals[:, 0], normals[:, 1]), normals[:, 2]))
+    return angles
+
+
+def surface_metrics(built: HeightField) -> dict[str, float]:
+    """Steps, slopes and extent of a height field, mm and degrees."""
+    several = built.lens.facets > 1
+    steps = np.concatenate([s.ravel() for s in wall_steps(built.heights_mm)]) if several else np.zeros(1)
+    points = built.facet_points_mm()
+    slopes = facet_slopes_deg(points)
+    return {
+        "step_mean_mm": float(steps.mean()),
+        "step_max_mm": float(steps.max()),
+        "slope_mean_deg": float(slopes.mean()),
+        "slope_max_deg": float(slopes.max()),
+        "z_min_mm": float(points[..., 2].min()),
+        "z_max_mm": float(points[..., 2].max()),
+    }
