@@ -80,7 +80,7 @@ def ideal_source_points(scene: Scene, view: View, assignment: Assignment, height
     columns, rows = np.broadcast_arrays(pixels[:, None] + right, pixels[:, None, None] + down)
     own = tuple((at * (lens.facets / _RESOLUTION)).astype(int) for at in (rows, columns))
     along = (patches.maps @ np.linalg.inv(patches.shears))[own]
-    p = (np.stack([columns, -rows], axis=-1) / _RESOLUTION + (-0.5, 0.5)) * lens.size_mm - patches.places_mm[own]
+    p = (np.stack([columns, -rows], axis=-1) / _RESOLUTION + (-0.5, 0.5)) * lens.size_mm - patches.positions_mm[own]
     seen: FloatArray = patches.landings_mm[own] + np.einsum("ijkab,ijkb->ijka", along, p)
     return seen
 

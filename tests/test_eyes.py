@@ -66,7 +66,7 @@ def test_the_reference_eye_of_a_scene_sees_offsets_and_maps_exactly() -> None:
     seen = patches_seen(scene, chosen, np.array([0.0, 5.0, 440.0]), np.full((3, 3), 0.7))
     np.testing.assert_array_equal(seen.landings_mm, lens.facet_centres_mm() + chosen.offsets_mm)
     np.testing.assert_array_equal(seen.maps[..., [0, 0, 1, 1], [0, 1, 0, 1]], chosen.maps[..., [0, 1, 1, 2]])
-    np.testing.assert_array_equal(seen.places_mm, lens.facet_centres_mm())
+    np.testing.assert_array_equal(seen.positions_mm, lens.facet_centres_mm())
     np.testing.assert_array_equal(seen.shears, np.broadcast_to(np.eye(2), (3, 3, 2, 2)))
 
 

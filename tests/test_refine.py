@@ -22,7 +22,7 @@ from magiclens.integration.refinement import LOOK_UPS, optics_for, pictures_of, 
 from magiclens.integration.refinement_kernels import (
     Rays,
     Shown,
-    predict,
+    predict_facet,
     residual_change,
     residual_change_transposed,
     to_field,
@@ -332,7 +332,7 @@ class Facet:
         gradients = np.zeros((pairs, 2, self.channels), np.float32)
         seen = Shown(np.zeros((self.triangles, 2)), residuals, gradients)
         rays = Rays(landing, *derivatives)
-        error = predict(heights, self.centre, self.samples, self.pictures, self.optics, True, rays, seen)
+        error = predict_facet(heights, self.centre, self.samples, self.pictures, self.optics, True, rays, seen)
         assert error == pytest.approx((seen.residuals.astype(float) ** 2).mean(), rel=1e-5)
         return seen
 

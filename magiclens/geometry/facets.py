@@ -1,4 +1,4 @@
-"""A scene's facets before they are built: what candidates would need of the surface, and what lost light costs."""
+"""A scene's facets before they are built: their edges and slopes, what eyes see through them, what lost light costs."""
 
 from __future__ import annotations
 
@@ -14,13 +14,19 @@ if TYPE_CHECKING:
     from magiclens.optics.walls import Edges
 
 EDGE_POINTS = 4
-"""Points per facet edge at which steps are measured."""
+"""Q, the number of points per facet edge at which steps are measured."""
 
 
 def edge_models(scene: Scene, offsets: FloatArray, maps: FloatArray) -> Edges:
-    """Edge profiles, mm, of zero-mean lenslets, and outward drifts, both (N, N, K, 4, Q) float32.
+    """The edges of the lenslets that candidates ask for, to second order, see ``optics.walls``.
 
-    offsets: (N, N, K, 2) mm and maps: (N, N, K, 3), as in ``artifacts.Candidates``. See ``optics.walls``.
+    Args:
+        scene: the lens and its views.
+        offsets: (N, N, K, 2) of the candidates, mm, +y up.
+        maps: (N, N, K, 3) of the candidates, as (xx, xy, yy).
+
+    Returns:
+        Profiles, mm, of lenslets of zero mean, and outward drifts, both (N, N, K, 4, Q) float32.
     """
     from magiclens.optics.lenslets import lenslet_edges
     from magiclens.optics.medium import cut_of, slab_of
@@ -36,7 +42,7 @@ def edge_models(scene: Scene, offsets: FloatArray, maps: FloatArray) -> Edges:
 
 
 def built_drifts(scene: Scene, shapes: FloatArray) -> FloatArray:
-    """Outward drifts (N, N, 4, k) float32 at the edges of facets of shapes (N, N, k, k), mm. See ``optics.walls``."""
+    """(N, N, 4, k) float32 outward drifts at the edges of facets of shapes (N, N, k, k), mm, see ``optics.walls``."""
     from magiclens.optics.lenslets import shape_drifts
     from magiclens.optics.medium import cut_of, slab_of
 
@@ -49,7 +55,15 @@ def built_drifts(scene: Scene, shapes: FloatArray) -> FloatArray:
 
 
 def central_slopes(scene: Scene, offsets: FloatArray) -> FloatArray:
-    """(N, N, K, 2) dz/dx and dz/dy at the facets' centres that show the patches at ``offsets`` (N, N, K, 2) mm."""
+    """The slopes that facets need at their centres to show patches to the reference eye (4.3).
+
+    Args:
+        scene: the lens and its views.
+        offsets: (N, N, K, 2) from the facets' centres to the patches' centres, mm, lens frame, +y up.
+
+    Returns:
+        (N, N, K, 2) float64 dz/dx and dz/dy.
+    """
     from magiclens.optics.lenslets import centre_slopes
     from magiclens.optics.medium import slab_of
 
@@ -63,25 +77,33 @@ def central_slopes(scene: Scene, offsets: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Patches:
-    """What an eye sees through the facets, to first order: ``landing + map p`` at ``place + shear p`` in its picture.
+    """What an eye sees through the facets, to first order: ``landing + map p`` at ``position + shear p``.
 
-    p is a point's place on the facet as the reference eye sees it, from the facet's centre, mm, +y up. landings_mm:
-    (N, N, 2), nan where light is reflected totally; places_mm: (N, N, 2); maps, shears: (N, N, 2, 2).
+    p is where on the facet a point is as the reference eye sees it, from the facet's centre, mm, +y up.
+
+    Args:
+        landings_mm: (N, N, 2) source points seen at the facets' centres; nan where light is reflected totally.
+        maps: (N, N, 2, 2).
+        positions_mm: (N, N, 2) where on the reference plane the eye sees the facets' centres.
+        shears: (N, N, 2, 2).
     """
 
     landings_mm: FloatArray
     maps: FloatArray
-    places_mm: FloatArray
+    positions_mm: FloatArray
     shears: FloatArray
 
 
 def patches_seen(
     scene: Scene, assignment: Assignment, eye_mm: FloatArray, heights_mm: FloatArray | None = None
 ) -> Patches:
-    """What an eye (3,), lens frame, sees if facets realise an assignment exactly (4.6).
+    """What an eye sees if facets show the reference eye exactly what an assignment asks for (4.6).
 
-    heights_mm: (N, N), where the facets stand; None is the reference plane. For the reference eye that does not matter:
-    it sees the assignment's own offsets and maps.
+    Args:
+        scene: the lens and its views.
+        assignment: what the facets show the reference eye.
+        eye_mm: (3,) lens frame. The reference eye sees the assignment's own offsets and maps.
+        heights_mm: (N, N) levels of the facets above the reference plane; None is the plane itself.
     """
     lens, n, cut_eye = scene.lens, scene.lens.facets, scene.reference_eye_mm
     centres = lens.facet_centres_mm()
@@ -95,11 +117,11 @@ def patches_seen(
     offsets = assignment.offsets_mm.reshape(-1, 2).astype(np.float64)
     heights = np.zeros(n * n) if heights_mm is None else np.ascontiguousarray(heights_mm, np.float64).ravel()
     seen = linearised(eye_mm, cut_eye, centres.reshape(-1, 2), heights, offsets, slab_of(lens))
-    landings, places = seen.landing.reshape(n, n, 2), seen.position.reshape(n, n, 2)
+    landings, positions = seen.landing.reshape(n, n, 2), seen.position.reshape(n, n, 2)
     along, span, shears = (
         a.reshape(n, n, 2, 2) for a in (seen.by_facet, seen.by_source, seen.position_by_facet)
     )  # fmt: skip
-    return Patches(landings, along + span @ given, places, shears)
+    return Patches(landings, along + span @ given, positions, shears)
 
 
 def cost_of_lost_light(scene: Scene) -> float:

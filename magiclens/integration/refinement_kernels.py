@@ -286,7 +286,7 @@ def _target_at(pictures, e, px, py, out):
 
 
 @njit(cache=True)
-def predict(heights, centre, samples, pictures, optics, derive, rays, shown):
+def predict_facet(heights, centre, samples, pictures, optics, derive, rays, shown):
     """Fill in what a facet shows: ``residual = display(mean light of a pixel's look-ups) - target``.
 
     The gradients are those of the residuals, by the chain rule; the display curve's slope is taken over some entries
@@ -464,14 +464,14 @@ def refine_facets(heights, centres, samples, pictures, optics, metric, descent, 
         gradients = np.zeros((2, pairs, 2, channels), np.float32)
         predictions = [Shown(slopes[n], residuals[n], gradients[n]) for n in range(2)]
         step, trial, now = np.zeros((k, k)), heights[f].copy(), 0
-        error = predict(trial, centres[f], samples, pictures, optics, True, rays, predictions[0])
+        error = predict_facet(trial, centres[f], samples, pictures, optics, True, rays, predictions[0])
         damping = _FIRST_DAMPING
         for _ in range(descent.rounds):
             if not 0.0 < error < np.inf:
                 break
             _step(predictions[now], samples, metric, damping, descent.iterations, step)
             trial[:] = heights[f] + step
-            less = predict(trial, centres[f], samples, pictures, optics, False, rays, predictions[1 - now])
+            less = predict_facet(trial, centres[f], samples, pictures, optics, False, rays, predictions[1 - now])
             if less < error:
                 heights[f] = trial
                 gain, error, now, damping = error - less, less, 1 - now, max(damping / 3, _LEAST_DAMPING)

@@ -21,12 +21,13 @@ def faces_that_cut(solid: Solid) -> IntArray:
 
 
 def cannot_cut_itself(solid: Solid) -> bool:
-    """Whether the solid consists of a top sheet and a floor sheet below it, joined by sides that are seen edge-on.
+    """Whether the solid consists of a top and a floor below it, joined by sides that are seen edge-on.
 
-    Seen along the cutting rays, a sheet's triangles all have the same orientation and its outline is star-shaped. They
-    then cover every point within the outline exactly once, so no ray meets a sheet twice and the sheet cannot cut
-    itself. Sides may leave the rays by rounding, far less than the sheets' thinnest triangle measures. False when
-    this is not so, which does not mean that the solid does cut itself. It must be closed and consistently oriented.
+    Seen along the cutting rays, the triangles of top and floor all have the same orientation and their outlines are
+    star-shaped. They then cover every point within the outline exactly once, so no ray meets either of them twice, and
+    neither can cut itself. Sides may leave the rays by rounding, far less than the thinnest triangle measures. False
+    when this is not so, which does not mean that the solid does cut itself. It must be closed and consistently
+    oriented.
     """
     if solid.grid is None or (solid.eye_mm is not None and solid.vertices[:, 2].max() >= solid.eye_mm[2]):
         return False

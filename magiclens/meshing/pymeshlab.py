@@ -1,4 +1,4 @@
-"""The finisher: bounded smoothing, then the checks that a solid must pass before anyone makes it."""
+"""The built-in finisher: bounded smoothing, then the checks that a solid must pass before it is made."""
 
 from __future__ import annotations
 
@@ -54,15 +54,15 @@ def _grid_lines(lens: Lens) -> int:
 
 
 def _listed(lens: Lens, solid: Solid, flaws: tuple[Flaw, ...]) -> str:
-    """All flaws, with their number and the place of the first."""
+    """All flaws, each with how often it occurs and where it does first."""
     texts = []
     for flaw in flaws:
-        place = f", the first at {_place(lens, solid, flaw.vertex)}" if flaw.vertex is not None else ""
-        texts.append(f"{flaw.what} ({flaw.count}{place})")
+        where = f", the first at {_location(lens, solid, flaw.vertex)}" if flaw.vertex is not None else ""
+        texts.append(f"{flaw.what} ({flaw.count}{where})")
     return "; ".join(texts)
 
 
-def _place(lens: Lens, solid: Solid, vertex: int) -> str:
+def _location(lens: Lens, solid: Solid, vertex: int) -> str:
     """The facet (row 0 at +y, column 0 at -x) that a vertex belongs to, or its position if it belongs to none."""
     lines = _grid_lines(lens)
     if solid.grid == (lines, lines) and vertex < lines**2:

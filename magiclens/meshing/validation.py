@@ -16,7 +16,7 @@ Search = Literal["auto", "always", "never"]
 
 @dataclass(frozen=True)
 class Flaw:
-    """What makes a solid unfit, how often it does, and a vertex of the first place (None: the whole solid)."""
+    """What makes a solid unfit, how often it occurs, and a vertex where it does first (None: the whole solid)."""
 
     what: str
     count: int
@@ -35,7 +35,13 @@ class Findings:
 
 
 def validate(solid: Solid, search: Search = "auto") -> Findings:
-    """Everything below; checks that need a closed, oriented surface are left out when there is none."""
+    """All checks of this module; those that need a closed, oriented surface are left out when there is none.
+
+    Args:
+        solid: it is checked as a float32 file will hold it.
+        search: whether faces that cut others are searched for: `always`, `never`, or `auto`, which is where the
+            solid's structure does not exclude them.
+    """
     exported = as_exported(solid)
     found = check_topology(exported) + check_areas(exported)
     if not found.flaws:
@@ -51,7 +57,7 @@ def as_exported(solid: Solid) -> Solid:
     return Solid(rounded, solid.faces, solid.grid, solid.eye_mm, dict(solid.metrics))
 
 
-class Edges:
+class MeshEdges:
     """The edges of a triangle mesh, sorted so that all uses of an edge by a face follow one another.
 
     A use is numbered 3 f + k: it runs from corner k of face f to the next one. ``start`` and ``end`` are the vertices
@@ -83,7 +89,7 @@ class Edges:
 
 def check_topology(solid: Solid) -> Findings:
     """Watertight, two-manifold, consistently oriented, one body."""
-    edges = Edges(solid.faces, len(solid.vertices))
+    edges = MeshEdges(solid.faces, len(solid.vertices))
     one, other = edges.pairs
     flipped = edges.paired[edges.start[one] == edges.start[other]]
     flaws = [
@@ -141,7 +147,7 @@ def check_self_intersections(solid: Solid, reason: bool) -> Findings:
     return Findings({"self_intersections": float(len(cut))}, flaws)
 
 
-def _pinched_vertices(edges: Edges, vertices: int) -> IntArray:
+def _pinched_vertices(edges: MeshEdges, vertices: int) -> IntArray:
     """Vertices whose faces form more than one fan: a set of corners, linked across the edges between them."""
     one, other = edges.pairs
     # Neighbours run along their common edge in opposite directions, so one starts where the other ends.
@@ -157,7 +163,7 @@ def _next(use: IntArray) -> IntArray:
     return use + np.where(use % 3 == 2, -2, 1)
 
 
-def _bodies(edges: Edges, vertices: int) -> int:
+def _bodies(edges: MeshEdges, vertices: int) -> int:
     """How many parts share no vertex."""
     return len(np.unique(_components(edges.start, edges.end, vertices)[edges.start]))
 
