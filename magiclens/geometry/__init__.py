@@ -1,1 +1,1 @@
-"""Facets, the slab under them, and the closed mesh."""
+"""Facets before they are built, closed bodies, and how high bodies are above a raster."""

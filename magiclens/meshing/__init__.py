@@ -1,1 +1,1 @@
-"""From heights to a closed mesh that is fit for fabrication."""
+"""Finishing a solid: smoothing within a bound, and the checks that it must pass before it is made."""

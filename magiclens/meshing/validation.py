@@ -24,23 +24,23 @@ class Flaw:
 
 
 @dataclass(frozen=True)
-class Findings:
+class Validation:
     """What is known of a solid, and what is wrong with it."""
 
     metrics: Mapping[str, float]
     flaws: tuple[Flaw, ...]
 
-    def __add__(self, other: Findings) -> Findings:
-        return Findings({**self.metrics, **other.metrics}, self.flaws + other.flaws)
+    def __add__(self, other: Validation) -> Validation:
+        return Validation({**self.metrics, **other.metrics}, self.flaws + other.flaws)
 
 
-def validate(solid: Solid, search: Search = "auto") -> Findings:
+def validate(solid: Solid, search: Search = "auto") -> Validation:
     """All checks of this module; those that need a closed, oriented surface are left out when there is none.
 
     Args:
         solid: it is checked as a float32 file will hold it.
-        search: whether faces that cut others are searched for: `always`, `never`, or `auto`, which is where the
-            solid's structure does not exclude them.
+        search: whether faces that cut others are searched for; `auto`: where the solid's structure does not exclude
+            them.
     """
     exported = as_exported(solid)
     found = check_topology(exported) + check_areas(exported)
@@ -87,7 +87,7 @@ class MeshEdges:
         return int(min(self.start[use], self.end[use]))
 
 
-def check_topology(solid: Solid) -> Findings:
+def check_topology(solid: Solid) -> Validation:
     """Watertight, two-manifold, consistently oriented, one body."""
     edges = MeshEdges(solid.faces, len(solid.vertices))
     one, other = edges.pairs
@@ -116,10 +116,10 @@ def check_topology(solid: Solid) -> Findings:
         "consistently_oriented": float(not len(flipped)),
         "bodies": float(bodies),
     }
-    return Findings(metrics, tuple(flaws))
+    return Validation(metrics, tuple(flaws))
 
 
-def check_areas(solid: Solid) -> Findings:
+def check_areas(solid: Solid) -> Validation:
     """No face is thinner than what float32 can tell apart at the solid's size."""
     corners = solid.vertices[solid.faces]
     sides = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
@@ -127,24 +127,24 @@ def check_areas(solid: Solid) -> Findings:
     finest = np.spacing(np.float32(np.abs(solid.vertices).max()))
     thin = np.flatnonzero(double_area <= finest * sides.max(axis=1))
     flaws = (Flaw("faces without area", len(thin), int(solid.faces[thin[0]].min())),) if len(thin) else ()
-    return Findings({"zero_area_faces": float(len(thin))}, flaws)
+    return Validation({"zero_area_faces": float(len(thin))}, flaws)
 
 
-def check_volume(solid: Solid) -> Findings:
+def check_volume(solid: Solid) -> Validation:
     """Normals point outward. The solid must be closed and consistently oriented."""
     a, b, c = (solid.vertices[solid.faces[:, k]] for k in range(3))
     volume = float(np.einsum("ij,ij->", a, np.cross(b, c))) / 6
     flaws = (Flaw("faces that point inward", len(solid.faces)),) if volume <= 0 else ()
-    return Findings({"volume_mm3": volume, "outward_normals": float(volume > 0)}, flaws)
+    return Validation({"volume_mm3": volume, "outward_normals": float(volume > 0)}, flaws)
 
 
-def check_self_intersections(solid: Solid, reason: bool) -> Findings:
+def check_self_intersections(solid: Solid, reason: bool) -> Validation:
     """No face cuts another one. The search takes long; ``reason`` spares it where the solid's structure allows."""
     if reason and cannot_cut_itself(solid):
-        return Findings({"self_intersections": 0.0}, ())
+        return Validation({"self_intersections": 0.0}, ())
     cut = faces_that_cut(solid)
     flaws = (Flaw("faces that cut through others", len(cut), int(solid.faces[cut[0]].min())),) if len(cut) else ()
-    return Findings({"self_intersections": float(len(cut))}, flaws)
+    return Validation({"self_intersections": float(len(cut))}, flaws)
 
 
 def _pinched_vertices(edges: MeshEdges, vertices: int) -> IntArray:

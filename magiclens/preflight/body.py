@@ -10,7 +10,7 @@ import numpy as np
 
 from magiclens.contract.artifacts import FloatArray, Lens, Solid
 from magiclens.meshing.intersections import cannot_cut_itself, faces_that_cut
-from magiclens.meshing.validation import Findings, check_areas, check_topology, check_volume
+from magiclens.meshing.validation import Validation, check_areas, check_topology, check_volume
 from magiclens.preflight.finding import FacetIndices, Finding, worst_facet_text
 from magiclens.preflight.mesh_file import MeshFile, read_mesh_file
 
@@ -41,7 +41,7 @@ def body_checked_by_finisher(metrics: Mapping[str, Any], name: str) -> list[Find
     """
     if not {"watertight", "bodies", "outward_normals", "self_intersections"} <= set(metrics):
         return None
-    found = Findings(metrics, ())
+    found = Validation(metrics, ())
     return [*_closed_and_whole(found, None, None, name), _self_intersection(found, None, None)]
 
 
@@ -73,7 +73,7 @@ def _same_body(one: MeshFile, other: MeshFile) -> bool:
     return bool(same and np.allclose(one.extent_mm, moved, atol=_TOLERANCE * np.ptp(one.extent_mm)))
 
 
-def _closed_and_whole(found: Findings, solid: Solid | None, lens: Lens | None, name: str) -> list[Finding]:
+def _closed_and_whole(found: Validation, solid: Solid | None, lens: Lens | None, name: str) -> list[Finding]:
     metrics, flaws = found.metrics, found.flaws
     facets = _facets_at([flaw.vertex for flaw in flaws], solid, lens)
     bodies = int(metrics["bodies"])
@@ -87,7 +87,7 @@ def _closed_and_whole(found: Findings, solid: Solid | None, lens: Lens | None, n
     ]
 
 
-def _self_intersection(found: Findings, solid: Solid | None, lens: Lens | None) -> Finding:
+def _self_intersection(found: Validation, solid: Solid | None, lens: Lens | None) -> Finding:
     """Whether faces cut others: excluded by the structure of the mesh if possible, else searched for."""
     check = "self-intersection"
     if found.flaws:
