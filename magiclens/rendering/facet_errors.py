@@ -24,11 +24,11 @@ def facet_errors(scene: Scene, heights: HeightField) -> FloatArray:
         (N, N) mean squared differences, in display values, lens frame.
     """
     solid = solid_from_heights(heights)
-    errors: FloatArray = np.mean([view_errors(scene, solid, view) for view in scene.views], axis=0)
+    errors: FloatArray = np.mean([_view_errors(scene, solid, view) for view in scene.views], axis=0)
     return errors
 
 
-def view_errors(scene: Scene, solid: Solid, view: View) -> FloatArray:
+def _view_errors(scene: Scene, solid: Solid, view: View) -> FloatArray:
     """(N, N) errors as of ``facet_errors`` of a solid in one view; the exposure makes up for reflection losses."""
     lens, n = scene.lens, scene.lens.facets
     local = view.in_lens_frame()
