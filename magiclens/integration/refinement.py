@@ -172,7 +172,8 @@ def samples_of(lens: Lens, look_ups: int) -> Samples:
 
 def optics_for(built: HeightField) -> Optics:
     """What a height field refracts with; the eye of vertical cells makes no difference."""
-    eye = np.zeros(3) if built.eye_mm is None else np.asarray(built.eye_mm, float)
+    # a copy: to numba, arrays that are read-only are another type, for which it would compile the kernels again
+    eye = np.zeros(3) if built.eye_mm is None else np.array(built.eye_mm, float)
     return optics_of(built.lens, Cut(eye, built.eye_mm is None))
 
 

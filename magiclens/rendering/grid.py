@@ -63,7 +63,8 @@ def grid_of(solid: Solid, lens: Lens) -> Grid:
     if solid.eye_mm is None:
         us, vs, ws = points[0, :, 0].copy(), points[:, 0, 1].copy(), points[..., 2].copy()
         return Grid(us, vs, ws, points, np.zeros(3), 1.0, True, *height_and_floor)
-    eye, distance = solid.eye_mm, float(solid.eye_mm[2] - lens.thickness_mm)
+    # a copy: to numba, arrays that are read-only are another type, for which it would compile the tracer again
+    eye, distance = solid.eye_mm.copy(), float(solid.eye_mm[2] - lens.thickness_mm)
     w = distance / (eye[2] - points[..., 2])
     flat = eye[:2] + (points[..., :2] - eye[:2]) * w[..., None]
     us, vs = flat[0, :, 0].copy(), flat[:, 0, 1].copy()
