@@ -37,7 +37,7 @@ def levels_of_least_steps(shapes: FloatArray, screening: float, relief: float) -
     right = (shapes[:, :-1, :, -1] - shapes[:, 1:, :, 0]).mean(axis=-1)
     below = (shapes[:-1, :, -1, :] - shapes[1:, :, 0, :]).mean(axis=-1)
     spectrum = dctn(divergence(right, below), norm="ortho")
-    spectrum[0, 0] = 0.0
+    spectrum[0, 0] = 0.0  # edges do not say how high the lens is as a whole: its mean level is 0
     eigenvalues = cosines(len(shapes))[1].copy()
     eigenvalues[0, 0] = 1.0
     tallest = np.abs(shapes).max(axis=(2, 3))
@@ -47,7 +47,7 @@ def levels_of_least_steps(shapes: FloatArray, screening: float, relief: float) -
             return levels, screening
         if screening > _MOST_SCREENING:
             return np.zeros_like(levels), screening
-        screening = max(1.3 * screening, 1e-6)
+        screening = max(1.3 * screening, 1e-6)  # a screening of 0 would never grow
 
 
 def levels_of_least_lost_light(
@@ -66,6 +66,7 @@ def levels_of_least_lost_light(
     """
     lens, n = scene.lens, scene.lens.facets
     edges = Edges(_edge_profiles(shapes), built_drifts(scene, shapes)[:, :, None])
+    # the annealer's sweep with a single candidate, no image error and no temperature moves heights only
     levels, choice, nothing = levels.copy(), np.zeros((n, n), np.int64), np.zeros((n, n))
     terms = EnergyTerms(cost_of_lost_light(scene), lens.pitch_mm, float(step_weight), _SCREENING)
     for _ in range(_SWEEPS):

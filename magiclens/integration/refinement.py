@@ -116,7 +116,17 @@ class _Facets:
         return self.descend(0.0, LOOK_UPS[-1], 0, lambda _: None)
 
     def descend(self, blur: float, look_ups: int, rounds: int, progress: Callable[[float], None]) -> FloatArray:
-        """(F,) errors after at most so many steps; inf for perfect ones. blur: of the sources, in facet widths."""
+        """Take steps with all facets that are not perfect.
+
+        Args:
+            blur: of the sources, in facet widths.
+            look_ups: number of look-ups along a micro-facet's side, of ``LOOK_UPS``.
+            rounds: steps per facet, at most.
+            progress: is told the share of the facets that are done.
+
+        Returns:
+            (F,) mean squared errors, in display values; inf for perfect ones.
+        """
         pictures, samples = _blurred(self._pictures, blur * self._lens.pitch_mm), self._samples[look_ups]
         descent = Descent(rounds, _ITERATIONS, _ENOUGH)
         errors = np.full(len(self.heights), np.inf)

@@ -209,6 +209,7 @@ def _aim(heights, slopes, centre, eye, samples, optics, derive, rays):
     m, cell = len(heights) - 1, samples.cell_mm
     for t in range(2 * m * m):
         i, j = t // 2 // m, t // 2 % m
+        # the centroid: odd triangles are upper right, even ones lower left
         right, down = ((j + 2 / 3) * cell, (i + 1 / 3) * cell) if t & 1 else ((j + 1 / 3) * cell, (i + 2 / 3) * cell)
         u, v = centre[0] - 0.5 * m * cell + right, centre[1] + 0.5 * m * cell - down
         third = heights[i, j + 1] if t & 1 else heights[i + 1, j]
@@ -254,6 +255,7 @@ def _gather(samples, rays, pictures, e, light, gradients):
         if not (0.0 <= column < rows - 1.001 and 0.0 <= row < rows - 1.001):
             continue  # beside the source it is dark
         i, j = int(row), int(column)
+        # float32 as the sources: float64 weights would turn all sums below into float64
         fy, fx = np.float32(row - i), np.float32(column - j)
         p = samples.pair_pixel[k]
         for c in range(pictures.first[e], pictures.first[e + 1]):
@@ -321,11 +323,12 @@ def predict_facet(heights, centre, samples, pictures, optics, derive, rays, show
         _gather(samples, through, pictures, e, light, gradients)
         for p in range(side * side):
             right, down = (p % side + 0.5) * m / side, (p // side + 0.5) * m / side
-            h = heights[int(down), int(right)]
+            h = heights[int(down), int(right)]  # of a vertex nearby: where a pixel is seen depends little on heights
             u, v = centre[0] + (right - 0.5 * m) * cell, centre[1] + (0.5 * m - down) * cell
             px, py = project(eye, surface_point(optics, u, v, h, optics.depth), optics.depth)
             seen = _target_at(pictures, e, px, py, residuals[p])
             for c in range(pictures.first[e], pictures.first[e + 1]):
+                # residuals hold the targets until here, and light holds the display curve's slope from here on
                 at = min(int(light[p, c] * each * last + 0.5), last)
                 residuals[p, c] = pictures.display[at] - residuals[p, c] if seen else 0.0
                 lo, hi = max(at - _LIGHT_STEP, 0), min(at + _LIGHT_STEP, last)
@@ -475,6 +478,7 @@ def refine_facets(heights, centres, samples, pictures, optics, metric, descent, 
             if less < error:
                 heights[f] = trial
                 gain, error, now, damping = error - less, less, 1 - now, max(damping / 3, _LEAST_DAMPING)
+                # the step taken is kept all the same
                 if gain < descent.enough * error:
                     break
             else:

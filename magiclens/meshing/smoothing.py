@@ -10,10 +10,19 @@ from magiclens.geometry.solid import top_faces
 
 
 def smoothed(solid: Solid, lens: Lens, bound_mm: float, iterations: int) -> tuple[Solid, float]:
-    """The solid after Taubin smoothing inside its facets, and the farthest that a vertex has moved (mm).
+    """The solid after Taubin smoothing inside its facets.
 
-    Every vertex stays on its ray from ``solid.eye_mm`` (its vertical if None) and moves by at most ``bound_mm``. The
-    edges of the facets, the walls between them and the rim do not move. The solid must have the grid of ``lens``.
+    Every vertex stays on its ray from ``solid.eye_mm``, or on its vertical. The edges of the facets, the walls between
+    them and the rim do not move.
+
+    Args:
+        solid: it must have the grid of the lens.
+        lens: the lens that the solid was made for.
+        bound_mm: how far a vertex may move along its ray, mm.
+        iterations: passes of Taubin smoothing.
+
+    Returns:
+        The smoothed solid, and how far the vertex that moved most has moved, mm.
     """
     assert solid.grid is not None
     top = solid.vertices[: solid.grid[0] * solid.grid[1]]

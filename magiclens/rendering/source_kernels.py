@@ -15,6 +15,7 @@ def _on_raster(hit, rows, columns, per_mm):
     """Whether a sample's source point lies on the source; its column and row between the centres of the pixels."""
     x, y = hit[0] * per_mm, -hit[1] * per_mm
     inside = not (abs(x) > 0.5 * columns or abs(y) > 0.5 * rows)
+    # a thousandth short of the last pixel's centre, so that there is always a next pixel to weigh with
     x = min(max(x + 0.5 * columns - 0.5, 0.0), columns - 1.001)
     y = min(max(y + 0.5 * rows - 0.5, 0.0), rows - 1.001)
     return inside, x, y

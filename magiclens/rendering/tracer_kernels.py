@@ -107,6 +107,7 @@ def _follow(grid, slab, eye, qx, qy):
             break
         reach = (grid.highest + 2 * _CLEARANCE_MM - z) / dz if dz > 0.0 else -z / dz
         u1, v1, w1 = _to_grid(grid, x + dx * reach, y + dy * reach, z + dz * reach)
+        # the triangle on which a segment starts is left out, or rounding would find it crossed at once
         at, r, c, half = _march(grid, (u0, v0, w0), (u1, v1, w1), (r, c), half, inside)
         if at >= _MISSED:
             lands = inside and dz < 0.0
@@ -121,7 +122,7 @@ def _follow(grid, slab, eye, qx, qy):
         nx, ny, nz = _facing(grid.points, r, c, half == _UPPER)
         sign = -1.0 if inside else 1.0
         nx, ny, nz = sign * nx, sign * ny, sign * nz
-        eta = 1.0 / slab.ior if inside else slab.ior
+        eta = 1.0 / slab.ior if inside else slab.ior  # the normal is now on the side that the ray comes from
         cos_i = -(dx * nx + dy * ny + dz * nz)
         share = transmittance(max(cos_i, 0.0), eta)
         if share >= 0.5:
@@ -175,6 +176,7 @@ def _march(grid, start, end, cell, skipped, inside):
         out_u = ((us[c + 1] if du > 0 else us[c]) - u0) / du if du != 0.0 else 2.0
         out_v = ((vs[r] if dv > 0 else vs[r + 1]) - v0) / dv if dv != 0.0 else 2.0
         leave = min(out_u, out_v, 1.0)
+        # s and t run from 0 to 1 along +x and -y of the cell; on its diagonal they are equal
         s0, ds = (u0 - us[c]) / wide, du / wide
         t0, dt = (vs[r] - v0) / tall, -dv / tall
         a, b, d, e = ws[r, c], ws[r, c + 1], ws[r + 1, c], ws[r + 1, c + 1]
