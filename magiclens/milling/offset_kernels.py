@@ -28,7 +28,7 @@ class OffsetFaces(NamedTuple):
 
 
 class TouchableEdges(NamedTuple):
-    """TouchableEdges of the mesh that a cutter can touch.
+    """Edges of the mesh that a cutter can touch.
 
     low, high: (E, 3) their lower and their upper end, mm. reach: (E,) how far from the edge, seen from above, the tip
     can be while they touch, mm.
