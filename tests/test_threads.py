@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numba import config, njit
 
-from magiclens.kernels.threads import Part, in_threads
+from magiclens.kernels.threads import LoopPart, in_threads
 
 
 @njit(nogil=True)
@@ -25,7 +25,7 @@ def test_every_index_is_done_once(threads: int, count: int, monkeypatch: pytest.
 
 
 def test_what_a_part_raises_is_raised() -> None:
-    def fail(part: Part) -> None:
+    def fail(part: LoopPart) -> None:
         if part.end == 100:
             raise ValueError(f"{part.first} to {part.end}")
 

@@ -62,7 +62,7 @@ def sample_ideal_picture(rows_of_picture, source, per_mm, facets, size, samples,
     """The mean over samples q of a pixel of ``source(landing + map p)``, where facet point p is seen at q.
 
     Args:
-        rows_of_picture: A ``Part`` of the rows.
+        rows_of_picture: A ``LoopPart`` of the rows.
         source: (H, W, C) float32, linear light.
         per_mm: Pixels of the source per mm.
         facets: What the facets show, see ``IdealFacets``.

@@ -16,7 +16,7 @@ _PARTS_PER_THREAD = 8
 """Parts are more than threads, so that no thread waits long for one whose part takes more time."""
 
 
-class Part(NamedTuple):
+class LoopPart(NamedTuple):
     """A part of a loop: the indices from ``first`` up to, without, ``end``."""
 
     first: int
@@ -27,8 +27,8 @@ def in_threads(kernel: Callable[..., None], count: int, *arguments: Any) -> None
     """Call a kernel for consecutive parts of a loop, in as many threads as numba would use.
 
     Args:
-        kernel: Compiled with ``nogil``; takes a ``Part`` and the arguments. It must write to places of its own for each
-            index, so that the result does not depend on how the loop is divided.
+        kernel: Compiled with ``nogil``; takes a ``LoopPart`` and the arguments. For each index it must write to
+            elements that no other index writes to, so that the result does not depend on how the loop is divided.
         count: Number of indices of the loop.
         arguments: The same for every part.
     """
@@ -37,7 +37,7 @@ def in_threads(kernel: Callable[..., None], count: int, *arguments: Any) -> None
     threads: int = config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
     parts = min(count, _PARTS_PER_THREAD * threads if threads > 1 else 1)
     edges = [k * count // max(parts, 1) for k in range(parts + 1)]
-    calls = [Part(first, end) for first, end in pairwise(edges)]
+    calls = [LoopPart(first, end) for first, end in pairwise(edges)]
     if len(calls) < 2:
         for part in calls:
             kernel(part, *arguments)

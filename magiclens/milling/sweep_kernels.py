@@ -16,7 +16,7 @@ _BLOCK = 8
 """Number of columns whose highest point is remembered, so that moves that pass above all of them are skipped."""
 
 
-class Cut(NamedTuple):
+class CutterMove(NamedTuple):
     """A straight move of the tip, from its lower end on.
 
     x, y, z: the lower end, mm. ex, ey: unit direction seen from above. length: seen from above, mm. slope: tangent.
@@ -76,15 +76,15 @@ def cut_grid(outline, moves, reach, bands, x_mm, y_mm, z):
 
 @njit(cache=True)
 def _cut_along(move):
-    """The ``Cut`` of a move (2, 3); an upright one points along x."""
+    """The ``CutterMove`` of a move (2, 3); an upright one points along x."""
     start, end = move[0], move[1]
     ex, ey = end[0] - start[0], end[1] - start[1]
     length = math.sqrt(ex * ex + ey * ey)
     left, right = min(start[0], end[0]), max(start[0], end[0])
     if length == 0.0:
-        return Cut(start[0], start[1], start[2], 1.0, 0.0, 0.0, 0.0, left, right)
+        return CutterMove(start[0], start[1], start[2], 1.0, 0.0, 0.0, 0.0, left, right)
     slope = (end[2] - start[2]) / length
-    return Cut(start[0], start[1], start[2], ex / length, ey / length, length, slope, left, right)
+    return CutterMove(start[0], start[1], start[2], ex / length, ey / length, length, slope, left, right)
 
 
 @njit(cache=True)
