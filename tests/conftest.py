@@ -11,6 +11,7 @@ import pytest
 from playwright.sync_api import Browser
 
 from browsers import chromium
+from lenses import Lenses
 from magiclens.cli.doctor import examine
 from magiclens.plan.registry import Registry
 from toys import SPEC, TOYS, SpecWriter, registry_of
@@ -21,9 +22,9 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Whatever asks a browser belongs to the tools tier."""
+    """Whatever asks a browser belongs to the tools tier, unless it is a sweep."""
     for item in items:
-        if "browser" in getattr(item, "fixturenames", ()):
+        if "browser" in getattr(item, "fixturenames", ()) and not item.get_closest_marker("sweep"):
             item.add_marker("tools")
 
 
@@ -43,6 +44,13 @@ def browser() -> Iterator[Browser]:
     """A real one."""
     with chromium() as opened:
         yield opened
+
+
+@pytest.fixture(scope="session")
+def lenses(tmp_path_factory: pytest.TempPathFactory) -> Lenses:
+    """Small lenses, each designed once for all processes of the session."""
+    own = tmp_path_factory.getbasetemp()
+    return Lenses((own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "lenses")
 
 
 @pytest.fixture

@@ -9,32 +9,13 @@ import pytest
 import trimesh
 
 from acceptors import admesh, assert_accepted, assert_sliceable, volume_of_self_union
-from magiclens import run_spec
-
-SPECS = sorted((Path(__file__).parent.parent / "specs").glob("*.yaml"))
-FEW = (
-    "lens.size=25mm",
-    "lens.facets=8",
-    "lens.microfacets=8",
-    "pipeline.codesign=0",
-    "pipeline.exporters=[{type: stl}, {type: 3mf}]",
-    "pipeline.renderers=[{type: tracer, resolution: 64, samples: 1}]",
-)
-
-MORE = {"question-answer-universal": ("lens.size=50mm", "lens.facets=16")}
-"""Facets around a question need more places to look at."""
-
-
-@pytest.fixture(autouse=True)
-def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Small lenses need no large pictures."""
-    monkeypatch.setattr("magiclens.rendering.transports.LEAST_RESOLUTION", 64)
+from lenses import SHIPPED, Lenses
 
 
 @pytest.mark.tools
-@pytest.mark.parametrize("spec", SPECS, ids=[path.stem for path in SPECS])
-def test_slicers_and_mesh_checkers_take_the_lens_as_it_is(spec: Path, tmp_path: Path) -> None:
-    folder = run_spec(spec, tmp_path / "out", [*FEW, *MORE.get(spec.stem, ()), "report.analyses=[]"]).folder
+@pytest.mark.parametrize("name", SHIPPED)
+def test_slicers_and_mesh_checkers_take_the_lens_as_it_is(name: str, lenses: Lenses) -> None:
+    folder = lenses.shipped(name).folder
     assert_accepted(folder / "lens.stl")
     opened = assert_sliceable(folder / "lens.3mf")
     sides = np.ptp(trimesh.load_mesh(folder / "lens.stl").vertices, axis=0)

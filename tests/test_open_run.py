@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from lenses import Lenses
 from magiclens.cli import app
 from magiclens.contract.errors import InputError
 from magiclens.images import score
@@ -16,26 +17,12 @@ from magiclens.images.art import ART
 from magiclens.images.files import read_image, write_png
 from magiclens.images.movies import read_frames, write_gif
 from magiclens.running.open_run import open_run
-from magiclens.running.pipeline import Run, run_spec
-
-SPEC = """\
-scenario:
-  type: universal-animation
-  frames: {art: worm, length: 2}
-  camouflage: {type: noise}
-lens: {size: 30mm, facets: 6, microfacets: 40, thickness: 30mm}
-viewer: {distance: 300mm}
-pipeline:
-  matcher: {reach: 15%}
-  exporters: []
-"""
+from magiclens.running.pipeline import Run
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    folder = tmp_path_factory.mktemp("universal")
-    (folder / "worm.yaml").write_text(SPEC)
-    return run_spec(folder / "worm.yaml", folder / "out")
+def run(lenses: Lenses) -> Run:
+    return lenses.shipped("universal-animation")
 
 
 def invoke(*arguments: str | Path) -> str:

@@ -22,6 +22,7 @@ from scipy.ndimage import gaussian_filter
 from typer.testing import CliRunner
 
 from browsers import listen
+from lenses import Lenses
 from magiclens.cli import app
 from magiclens.contract.artifacts import FloatArray, Lens, View
 from magiclens.images import read_image, to_display, to_linear
@@ -29,33 +30,21 @@ from magiclens.images.files import write_png
 from magiclens.images.score import psnr_db
 from magiclens.rendering.tracer import picture, trace
 from magiclens.running.open_run import OpenRun, open_run
-from magiclens.running.pipeline import run_spec
 from magiclens.web.viewer import MOST_BYTES, viewer_fragment, viewer_page
 from magiclens.web.viewer.packing import orthonormal_polynomials, pack_heights, unpack_heights
 from magiclens.web.viewer.page import json_for_script
 from magiclens.web.viewer.pictures import picture_uri_within
 from magiclens.web.viewer.viewer_data import LANDING_MM, finest_step_mm, keep_views
 
-SPECS = Path(__file__).parent.parent / "specs"
 PIXELS, SAMPLES = 128, 2
-COMMON = ["pipeline.exporters=[]", f"pipeline.renderers=[{{type: tracer, resolution: {PIXELS}, samples: {SAMPLES}}}]"]
+SIDE_MM = 25.0
+"""Of the small lenses."""
 LENSES = {
-    "rotating": [
-        "lens={size: 40mm, facets: 8, microfacets: 12, thickness: 30mm}",
-        "scenario.targets=[{art: heart}, {art: star}]",
-        "scenario.angles=[0deg, 90deg]",
-    ],
-    "multi-view": [
-        "lens={size: 30mm, facets: 6, microfacets: 10, thickness: 30mm}",
-        "scenario.source={type: circles, seed: 7, size: 60mm}",
-        "pipeline.matcher={type: multi-view, window: 6mm, step: 0.5mm, scales: [0.15, 0.5], candidates: 16}",
-        "pipeline.rematch=0",
-    ],
-    "milled": [
-        "lens={size: 30mm, facets: 6, microfacets: 8, thickness: 20mm, gap: 30mm, cells: vertical}",
-        "medium={black: 10%, white: 80%}",
-    ],
+    "rotating": (),
+    "multi-view": (),
+    "milled": ("lens.gap=30mm", "medium={black: 10%, white: 80%}"),
 }
+"""By shipped spec: what its small lens has of its own here."""
 CHANGES = {
     "shifted": {"x": 3.0, "y": -2.0},
     "turned": {"angle": 5.0},
@@ -67,11 +56,11 @@ Pose = dict[str, float]
 
 
 @pytest.fixture(scope="module")
-def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+def folders(lenses: Lenses, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Runs of small lenses, each with its view.html."""
     made = {name: tmp_path_factory.mktemp("runs") / name for name in LENSES}
     for name, folder in made.items():
-        run_spec(SPECS / f"{name}.yaml", folder, [*LENSES[name], *COMMON])
+        shutil.copytree(lenses.shipped(name, *LENSES[name]).folder, folder)
         done = CliRunner().invoke(app, ["view", str(folder), "--no-open"])
         assert done.exit_code == 0, done.output
     return made
@@ -289,7 +278,7 @@ def looks_like(tab: Page, folder: Path) -> float:
 def drag(tab: Page, steps: int = 6) -> None:
     """Take the lens by its middle and let go of it nearly where it belongs."""
     place, pose = tab.evaluate("magiclens.square()"), tab.evaluate("magiclens.pose()")
-    per_mm, x, y = place["width"] / 40, place["x"] + place["width"] / 2, place["y"] + place["height"] / 2
+    per_mm, x, y = place["width"] / SIDE_MM, place["x"] + place["width"] / 2, place["y"] + place["height"] / 2
     tab.mouse.move(x + pose["x"] * per_mm, y - pose["y"] * per_mm)
     tab.mouse.down()
     tab.mouse.move(x + 0.9 * per_mm, y - 0.7 * per_mm, steps=steps)
@@ -314,7 +303,7 @@ def test_on_a_phone_a_finger_moves_the_lens_and_nothing_is_cut_off(visit: Any, f
     tab = visit(width=375, height=812, has_touch=True, is_mobile=True)
     assert tab.evaluate("document.documentElement.scrollWidth") == 375
     place, session = tab.evaluate("magiclens.square()"), tab.context.new_cdp_session(tab)
-    pose, per_mm = tab.evaluate("magiclens.pose()"), place["width"] / 40
+    pose, per_mm = tab.evaluate("magiclens.pose()"), place["width"] / SIDE_MM
     x, y = place["x"] + place["width"] / 2, place["y"] + place["height"] / 2
     for k in range(7):
         far = per_mm * (1 - k / 6)

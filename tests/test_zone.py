@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from lenses import Lenses
 from magiclens.analysis import stable_zone
 from magiclens.analysis.stable_zone import Zone, zone_figures
 from magiclens.contract.artifacts import Lens, Scene, Solid, View
@@ -35,7 +36,6 @@ from magiclens.rendering.tracer import Tracer
 from magiclens.running.pipeline import run_plan
 from scenes import THICK, blotches, grey_view, letter_f, small_lens, surface
 
-SPECS = Path(__file__).parent.parent / "specs"
 SOURCE, GLYPH = blotches(120, 3.0), letter_f(64)
 
 
@@ -190,24 +190,16 @@ def test_figures_show_both_lenses_from_displaced_eyes() -> None:
     assert tile.caption == "worst within the inner cone: 17.3 dB for 7 eyes, 14.3 dB for the middle eye"
 
 
-SMALL = [
-    "lens={size: 12mm, facets: 6, microfacets: 4, thickness: 20mm}",
-    "scenario.source={type: circles, seed: 7, size: 16mm}",
-    "scenario.cone=3deg",
-    "scenario.target={art: heart}",
-    "pipeline.matcher={type: multi-view, window: 4mm, step: 0.4mm, candidates: 4, polish: 0, scales: [0.2, 0.6]}",
-    "pipeline.renderers=[{type: tracer, resolution: 48}]",
-]
-
-
 @pytest.mark.usefixtures("coarse")
-def test_a_run_reports_the_zone_and_leaves_the_lens_alone(tmp_path: Path) -> None:
+def test_a_run_reports_the_zone_and_leaves_the_lens_alone(lenses: Lenses, tmp_path: Path) -> None:
+    without = lenses.shipped("stable-zone")
+    assert not [key for key in without.manifest["metrics"] if "plain" in key]
     seen: list[str] = []
     watch = hookimpl(lambda stage: seen.append(stage.kind), specname="mlens_stage_done")
     registry = Registry.load()
     registry.register(SimpleNamespace(mlens_stage_done=watch), Plugin("watcher", "watcher", "1"))
-    plan = load_plan(SPECS / "stable-zone.yaml", SMALL, registry)
-    run = run_plan(plan, tmp_path / "one")
+    analyses = "report.analyses=[contact-sheet, stable-zone]"
+    run = run_plan(load_plan(without.folder / "spec.yaml", [analyses], registry), tmp_path / "one")
     metrics = run.manifest["metrics"]
     assert {f"{lens}_{which}_psnr_db" for lens in ("zone", "plain") for which in ("centre", "worst")} <= set(metrics)
     assert metrics["plain_worst_psnr_db"] < metrics["plain_centre_psnr_db"] - 2
@@ -219,8 +211,5 @@ def test_a_run_reports_the_zone_and_leaves_the_lens_alone(tmp_path: Path) -> Non
     page = (run.folder / "report.html").read_text(encoding="utf-8")
     assert "From the worst place within the inner cone" in page
     assert list(dict.fromkeys(seen)) == [stage["kind"] for stage in run.manifest["stages"]]
-    bare = load_plan(SPECS / "stable-zone.yaml", [*SMALL, "report.analyses=[contact-sheet]"])
-    without = run_plan(bare, tmp_path / "two")
-    assert not [key for key in without.manifest["metrics"] if "plain" in key]
     for name in ("lens.stl", "renders/tracer/centre.png", "figures/contact-sheet.png"):
         assert (run.folder / name).read_bytes() == (without.folder / name).read_bytes()
