@@ -40,7 +40,8 @@ if TYPE_CHECKING:
     from magiclens.geometry.facets import central_slopes
     from magiclens.images import Score, resize, score, to_display, to_linear
     from magiclens.matching.exhaustive import Exhaustive
-    from magiclens.matching.polished import polished
+    from magiclens.matching.options import MatchingOptions
+    from magiclens.matching.polishing import polished
     from magiclens.milling.cutter import Cutter
     from magiclens.milling.exporter import MillingExporter
     from magiclens.milling.line_milling import LineMilling
@@ -67,7 +68,8 @@ _HOMES = {
     "geometry.facets": "central_slopes",
     "images": "Score resize score to_display to_linear",
     "matching.exhaustive": "Exhaustive",
-    "matching.polished": "polished",
+    "matching.options": "MatchingOptions",
+    "matching.polishing": "polished",
     "milling.cutter": "Cutter",
     "milling.exporter": "MillingExporter",
     "milling.line_milling": "LineMilling",
@@ -107,6 +109,7 @@ __all__ = [
     "LineMilling",
     "MagicLensError",
     "Matcher",
+    "MatchingOptions",
     "MillingExporter",
     "MillingProgram",
     "MillingSetup",

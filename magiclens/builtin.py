@@ -35,14 +35,14 @@ def mlens_stages() -> Sequence[type[Stage]]:
     from magiclens.integration.poisson import Poisson
     from magiclens.matching.dart_throwing import DartThrowing
     from magiclens.matching.exhaustive import Exhaustive
-    from magiclens.matching.multi_view import MultiView
+    from magiclens.matching.multi_view import MultiViewMatcher
     from magiclens.meshing.pymeshlab import Pymeshlab
     from magiclens.milling.gcode import Gcode
     from magiclens.milling.rml import Rml
     from magiclens.rendering.mitsuba import Mitsuba
     from magiclens.rendering.tracer import Tracer
 
-    matching: list[type[Stage]] = [Exhaustive, MultiView, DartThrowing]
+    matching: list[type[Stage]] = [Exhaustive, MultiViewMatcher, DartThrowing]
     design: list[type[Stage]] = [HeatBath, Metropolis, Poisson, LeastSquaresIntegrator, Pymeshlab, LeastSquaresEncoder]
     fabrication: list[type[Stage]] = [Stl, Ply, Obj, ThreeMf, Glb, HeightMap, Slices, Gcode, Rml, PrintSheet, Monitor]
     return [*matching, *design, *fabrication, Tracer, Mitsuba]

@@ -26,7 +26,7 @@ from magiclens.integration.least_squares import LeastSquaresIntegrator
 from magiclens.integration.poisson import Poisson
 from magiclens.matching.dart_throwing import DartThrowing
 from magiclens.matching.exhaustive import Exhaustive
-from magiclens.matching.multi_view import MultiView
+from magiclens.matching.multi_view import MultiViewMatcher
 from magiclens.meshing.pymeshlab import Pymeshlab
 from magiclens.milling.gcode import Gcode
 from magiclens.milling.rml import Rml
@@ -56,7 +56,7 @@ class TestExhaustive(MatcherContract):
 
 
 class TestMultiView(MatcherContract):
-    stage = MultiView(candidates=16, polish=8)
+    stage = MultiViewMatcher(candidates=16, polish=8)
     scenes = (one_view, two_eyes)
 
 

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from magiclens.contract.artifacts import BoolArray, Candidates, Lens, Scene, View
 from magiclens.contract.errors import InputError
-from magiclens.matching.dart_throwing import DartThrowing
-from magiclens.matching.darts import draw
+from magiclens.matching.dart_throwing import DartThrowing, throw_darts
 
 LENS = Lens(size_mm=40, source_size_mm=40, facets=6, microfacets=24, thickness_mm=40)
 PAPER = np.ones((120, 120, 1), np.float32)
@@ -90,6 +89,6 @@ def test_a_full_draw_is_found_whenever_there_is_one(seed: int) -> None:
     places = np.tile(np.arange(n), (n, 1))
     allowed = rng.random((n, n)) < 0.08
     allowed[np.arange(n), hidden] = True
-    drawn = draw(places, allowed, n, rng)
+    drawn = throw_darts(places, allowed, n, rng)
     assert sorted(drawn.tolist()) == list(range(n))
     assert allowed[np.arange(n), drawn].all()

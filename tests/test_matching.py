@@ -18,12 +18,14 @@ from magiclens.contract.stages import Matcher, silent
 from magiclens.geometry.solid import solid_from_heights
 from magiclens.images import to_display, to_linear
 from magiclens.integration.poisson import Poisson
-from magiclens.matching import raster as rasters
+from magiclens.matching import rasters
 from magiclens.matching.channels import stack_channels
-from magiclens.matching.driver import Pool, search_all
-from magiclens.matching.exhaustive import Exhaustive
-from magiclens.matching.multi_view import MultiView
-from magiclens.matching.polish import blur_levels
+from magiclens.matching.exhaustive import Exhaustive, search_all
+from magiclens.matching.multi_view import MultiViewMatcher
+from magiclens.matching.polishing import blur_levels
+from magiclens.matching.pool import Pool
+from magiclens.matching.raster_kernels import BLOCK_PIXELS, average_columns
+from magiclens.matching.tuples import Tiles
 from magiclens.optics.medium import slab_of
 from magiclens.optics.refraction import facet_normal
 from magiclens.rendering.facet_errors import facet_errors
@@ -90,7 +92,7 @@ def seen(source: FloatArray, lens: Lens, assignment: Assignment, pixels: int, tu
     ("scale", "px", "step"), [(1.2, 0.39, 0.13), (0.6, 0.39, 0.3), (0.25, 0.39, 0.4), (0.1, 0.39, 0.13)]
 )
 def test_a_raster_axis_has_tile_pixels_and_offsets_on_whole_samples(scale: float, px: float, step: float) -> None:
-    axis = rasters.axis(scale, px, step, 30.0)
+    axis = rasters.raster_axis(scale, px, step, 30.0)
     places = axis.positions_mm()
     assert axis.skip * axis.spacing_mm == pytest.approx(scale * px)
     assert axis.stride * axis.spacing_mm <= step * (1 + 1e-9)
@@ -115,11 +117,11 @@ def area_mean(image: FloatArray, size: float, x: float, y: float, width: float, 
 @pytest.mark.parametrize("scales", [(0.9, 0.9), (0.1, 0.7), (0.35, 0.1)])
 def test_raster_samples_are_box_averages_of_the_source_at_their_places(scales: tuple[float, float]) -> None:
     size, px, grain, source = 12.0, 0.375, 0.21, np.random.default_rng(1).random((2, 67, 67)).astype(np.float32)
-    x, y = (rasters.axis(s, px, 0.13, size) for s in scales)
+    x, y = (rasters.raster_axis(s, px, 0.13, size) for s in scales)
     wide, tall = (s * px + grain for s in scales)
-    columns = rasters.average_columns(source, *rasters.footprints(x, wide, size, 67))
-    samples, means = rasters.build(columns, *rasters.footprints(y, tall, size, 67), x, y)
-    span_x, span_y = (rasters.BLOCK - 1) * x.skip, (rasters.BLOCK - 1) * y.skip
+    columns = average_columns(source, *rasters.footprints(x, wide, size, 67))
+    samples, means = rasters.build_raster(columns, *rasters.footprints(y, tall, size, 67), x, y)
+    span_x, span_y = (BLOCK_PIXELS - 1) * x.skip, (BLOCK_PIXELS - 1) * y.skip
     corners = [(0, 0), (y.count - 1, x.count - 1)]
     for r, c in corners + [(RNG.integers(y.count), RNG.integers(x.count)) for _ in range(40)]:
         mean = area_mean(source, size, x.positions_mm()[c], y.positions_mm()[r], wide, tall)
@@ -127,7 +129,7 @@ def test_raster_samples_are_box_averages_of_the_source_at_their_places(scales: t
         np.testing.assert_allclose(found, to_display(mean), atol=1e-3)
     for _ in range(10):
         r, c = RNG.integers(y.count - span_y), RNG.integers(x.count - span_x)
-        rs, cs = np.meshgrid(r + np.arange(rasters.BLOCK) * y.skip, c + np.arange(rasters.BLOCK) * x.skip)
+        rs, cs = np.meshgrid(r + np.arange(BLOCK_PIXELS) * y.skip, c + np.arange(BLOCK_PIXELS) * x.skip)
         block = samples[:, rs % y.stride, cs % x.stride, rs // y.stride, cs // x.stride].mean(axis=(1, 2))
         np.testing.assert_allclose(means[:, r % y.stride, c % x.stride, r // y.stride, c // x.stride], block, atol=1e-6)
 
@@ -203,12 +205,11 @@ def test_the_search_finds_what_brute_force_finds(maps: str, limit: float) -> Non
         split[len(split)] = plain, x, y
         return built
 
-    build = rasters.build
+    build = rasters.build_raster
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(rasters, "build", remember)
-        search_all(
-            options, scene, channels, tiles, lens.facet_centres_mm().reshape(-1, 2) * (1, -1), 2.0, 0.4, pool, silent
-        )
+        patch.setattr(rasters, "build_raster", remember)
+        centres = lens.facet_centres_mm().reshape(-1, 2) * (1, -1)
+        search_all(options, scene, channels, Tiles(tiles, centres, lens.pitch_mm), pool, silent)
     pairs = itertools.product(options.scales, repeat=2) if maps == "symmetric" else [(s, s) for s in options.scales]
     by_scales = dict(zip(pairs, split.values(), strict=True))
     expected = brute_force(options, scene, lambda sx, sy: by_scales[sx, sy])
@@ -323,7 +324,7 @@ def test_errors_are_judged_by_the_staircase_that_flat_microfacets_show(gap: floa
         np.testing.assert_allclose(chosen.errors, errors + 1 / (m2 - r2) - 1 / m2, rtol=2e-3, atol=1e-5)
 
 
-@pytest.mark.parametrize("matcher", [Exhaustive, MultiView])
+@pytest.mark.parametrize("matcher", [Exhaustive, MultiViewMatcher])
 def test_a_patch_that_reaches_beyond_the_source_is_judged_as_partly_dark(matcher: type[Matcher]) -> None:
     """On a white sheet as large as the lens, errors are what large flat micro-facets show of the dark around it."""
     lens = small_lens(3, 3.0, source=9.0, microfacets=2)

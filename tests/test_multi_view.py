@@ -13,13 +13,11 @@ from scipy.optimize import brentq
 from magiclens.analysis.ideal_picture import predict
 from magiclens.contract.artifacts import Assignment, Candidates, FloatArray, Scene, View
 from magiclens.contract.errors import InputError
-from magiclens.contract.stages import silent
 from magiclens.geometry.facets import patches_seen
 from magiclens.images import resize, to_display
 from magiclens.integration.poisson import Poisson
 from magiclens.matching.exhaustive import Exhaustive
-from magiclens.matching.multi_view import MultiView
-from magiclens.matching.several_eyes import match
+from magiclens.matching.multi_view import MultiViewMatcher
 from magiclens.optics.medium import slab_of
 from magiclens.optics.refraction import facet_normal, refract
 from magiclens.rendering.facet_errors import facet_errors
@@ -27,13 +25,13 @@ from scenes import ABOVE, THICK, assigned, blotches, choices, grey_view, letter_
 
 LEFT_EYE, RIGHT_EYE = (-104.0, 0.0, THICK + 386.0), (104.0, 20.0, THICK + 386.0)
 TILE_PX = 48
-OPTIONS = MultiView(window="6mm", scales=(0.4, 0.6, 0.85), candidates=16)
+OPTIONS = MultiViewMatcher(window="6mm", scales=(0.4, 0.6, 0.85), candidates=16)
 MAPS = np.array([(0.6, 0, 0.6), (-0.6, 0, 0.6), (0.4, 0, -0.85), (-0.85, 0, -0.4), (0.85, 0, 0.6), (0.6, 0, -0.4)])
 
 
-def matched(scene: Scene, heights: FloatArray | None = None, options: MultiView = OPTIONS) -> Candidates:
+def matched(scene: Scene, heights: FloatArray | None = None, options: MultiViewMatcher = OPTIONS) -> Candidates:
     at = np.zeros((scene.lens.facets,) * 2) if heights is None else heights
-    return match(options, scene, at, silent)
+    return options.match_at(scene, at)
 
 
 def planted(
@@ -113,7 +111,7 @@ def test_a_facet_that_now_sees_past_the_sources_edge_keeps_its_candidates() -> N
 
     offset = offsets(brentq(lambda right: room(right) - 0.05, 0.0, 8.0))
     given = choices(offset[:, :, None], np.broadcast_to(small, (3, 3, 1, 3)), np.full((3, 3, 1), 0.9))
-    options = MultiView(window="20mm", polish=0, acceptance=1.0)
+    options = MultiViewMatcher(window="20mm", polish=0, acceptance=1.0)
     chosen = Assignment.pick(given, np.zeros((3, 3), int))
     lying, standing = (
         options.rematch(scene, given, chosen, surface(lens, h * np.ones(1)), np.zeros((3, 3))).errors[..., 0]
@@ -196,7 +194,7 @@ def bilinear(picture: FloatArray, size_mm: float, points: FloatArray) -> FloatAr
 
 
 def slow_error(
-    scene: Scene, options: MultiView, facet: tuple[int, int], height: float, offset: FloatArray, m: FloatArray
+    scene: Scene, options: MultiViewMatcher, facet: tuple[int, int], height: float, offset: FloatArray, m: FloatArray
 ) -> float:
     """Mean squared difference of display values that flat micro-facets show all eyes, and the distance term."""
     lens, pixels, total = scene.lens, 2 * options.pixels, 0.0
@@ -234,7 +232,7 @@ def test_for_one_eye_it_finds_what_the_exhaustive_matcher_finds() -> None:
     scene = Scene(small_lens(4, 3.0, source=24.0), (grey_view(blotches(360, 6.0), blotches(128, 8.0, seed=3)),))
     ours, theirs = (
         kind(window="6mm", candidates=25).match(scene, np.random.default_rng(0)).errors[..., 0]
-        for kind in (MultiView, Exhaustive)
+        for kind in (MultiViewMatcher, Exhaustive)
     )
     assert ours.mean() == pytest.approx(theirs.mean(), rel=0.1)
     assert np.corrcoef(ours.ravel(), theirs.ravel())[0, 1] > 0.98

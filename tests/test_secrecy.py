@@ -10,7 +10,7 @@ import pytest
 from magiclens.analysis.secrecy import secrecy, tile_likeness
 from magiclens.contract.artifacts import Assignment, Lens, Scene, View
 from magiclens.images.art import ART
-from magiclens.matching.strength import injective_maps_bits
+from magiclens.matching.key_size import key_size_bits
 
 
 @pytest.fixture
@@ -21,18 +21,18 @@ def rng() -> np.random.Generator:
 def test_without_limits_the_maps_are_counted_exactly(rng: np.random.Generator) -> None:
     """Five facets, eight places within everyone's reach, two signs each: 8! / 3! * 2^5 ways."""
     places, usable = np.tile(np.arange(8), (5, 1)), np.ones((5, 8, 2), bool)
-    assert injective_maps_bits(places, usable, rng) == pytest.approx(math.log2(8 * 7 * 6 * 5 * 4 * 2**5))
+    assert key_size_bits(places, usable, rng) == pytest.approx(math.log2(8 * 7 * 6 * 5 * 4 * 2**5))
 
 
 def test_within_limits_the_estimate_is_near_the_count(rng: np.random.Generator) -> None:
     """A ring: each of 8 facets reaches its own place and the next; only two permutations stay within that."""
     places = np.stack([np.arange(8), (np.arange(8) + 1) % 8], axis=1)
-    bits = injective_maps_bits(places, np.ones((8, 2, 1), bool), rng, rounds=4000)
+    bits = key_size_bits(places, np.ones((8, 2, 1), bool), rng, rounds=4000)
     assert bits == pytest.approx(1.0, abs=0.15)
 
 
 def test_no_way_is_minus_infinity(rng: np.random.Generator) -> None:
-    assert injective_maps_bits(np.zeros((2, 1), int), np.ones((2, 1, 1), bool), rng) == -math.inf
+    assert key_size_bits(np.zeros((2, 1), int), np.ones((2, 1, 1), bool), rng) == -math.inf
 
 
 def lens_and_view(offset: float) -> tuple[Lens, Assignment, View]:

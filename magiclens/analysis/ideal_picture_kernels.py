@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from magiclens.kernels.sampling import place
+from magiclens.kernels.sampling import rotated_grid
 
 
 class IdealFacets(NamedTuple):
@@ -76,7 +76,7 @@ def sample_ideal_picture(rows_of_picture, source, per_mm, facets, size, samples,
     for r in range(rows_of_picture.first, rows_of_picture.end):
         for c in range(resolution):
             for k in range(samples * samples):
-                right, down = place(k, samples)
+                right, down = rotated_grid(k, samples)
                 i, j, u, v = _visible_facet(facets, size, (c + right) * pixel, (r + down) * pixel)
                 at, m = facets.landings[i, j], facets.maps[i, j]
                 if math.isnan(at[0]):

@@ -2,46 +2,100 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+import itertools
+import math
+from typing import ClassVar
 
 import numpy as np
-from pydantic import Field
 
 from magiclens.contract.artifacts import Candidates, Scene
 from magiclens.contract.stages import Matcher, Progress, silent
-from magiclens.contract.units import LengthOrPercent, relative
+from magiclens.matching.channels import Channels, stack_channels
+from magiclens.matching.grain import seen_grain
+from magiclens.matching.options import LatticeOptions
+from magiclens.matching.pool import Pool
+from magiclens.matching.tuples import Tiles
 
 
-class Exhaustive(Matcher):
+class Exhaustive(LatticeOptions, Matcher):
     """Exact search over offsets and axis-aligned maps, pruned by a lower bound; best per bucket; polished."""
 
     type: ClassVar[str] = "exhaustive"
     version: ClassVar[str] = "2"
-
-    window: LengthOrPercent = Field(relative("10%"), description="side of the search window, of the source's width")
-    scales: tuple[float, ...] = Field(
-        (0.1, 0.3, 0.8), min_length=1, description="magnitudes of the map along each axis"
-    )
-    maps: Literal["symmetric", "scale"] = Field(
-        "symmetric", description="`scale`: the paper's isotropic scales only; `symmetric`: flips, anisotropy, shear"
-    )
-    candidates: int = Field(64, ge=1, le=400, description="candidates kept per facet, at most")
-    acceptance: float = Field(
-        0.05, gt=0, description="candidates worse than a facet's best by more than this error are dropped (4.2)"
-    )
-    pixels: Literal[4, 8, 16] = Field(8, description="pixels per tile side in the search")
-    step: LengthOrPercent = Field(relative("0.13mm"), description="distance between neighbouring offsets")
-    polish: int = Field(64, ge=0, description="candidates per facet that are polished; 0: lattice positions only")
 
     def match(self, scene: Scene, rng: np.random.Generator, progress: Progress = silent) -> Candidates:
         """Search, polish, sort. Raises InputError when some facet reaches no patch at all."""
         return self.match_rows(scene, 0, scene.lens.facets, progress)
 
     def match_rows(self, scene: Scene, first: int, last: int, progress: Progress = silent) -> Candidates:
-        """What ``match`` finds for the facets in rows ``first`` to ``last - 1``: arrays (last - first, N, K, ...).
+        """What ``match`` finds for the facets in rows ``first`` to ``last - 1``.
 
         What is found for a facet does not depend on the others, so that blocks of rows can be matched anywhere.
-        """
-        from magiclens.matching.driver import match
 
-        return match(self, scene, slice(first, last), progress)
+        Args:
+            scene: the lens and its views.
+            first: the first row of facets.
+            last: the row after the last.
+            progress: is told the share of the search that is done.
+
+        Returns:
+            Candidates with arrays (last - first, N, K, ...).
+
+        Raises:
+            InputError: some facet reaches no patch at all, or views do not share an eye.
+        """
+        from magiclens.matching.polishing import finish
+
+        lens, channels, rows, pixels = scene.lens, stack_channels(scene), slice(first, last), self.pixels
+        values = channels.tiles(lens.facets, pixels)[rows].reshape(-1, len(channels.target), pixels, pixels)
+        tiles = Tiles(values, lens.facet_centres_mm()[rows].reshape(-1, 2) * (1, -1), lens.pitch_mm)
+        pool = Pool(len(values), math.ceil(math.sqrt(self.candidates)))
+        search_all(self, scene, channels, tiles, pool, progress)
+        pool.require_all(lens, first)
+        pool.sort()
+        finish(pool, scene, channels, rows, self, self.isotropic)
+        return pool.candidates(lens, self.candidates)
+
+
+def search_all(
+    options: Exhaustive, scene: Scene, channels: Channels, tiles: Tiles, pool: Pool, progress: Progress
+) -> None:
+    """Search every raster; rasters that share their x axis share its footprint averages.
+
+    Args:
+        options: the window and the lattice of maps.
+        scene: the lens and its views.
+        channels: its views, stacked.
+        tiles: of the facets, (F, C, P, P).
+        pool: takes the best candidate of each bucket.
+        progress: is told the share that is done.
+    """
+    from magiclens.matching import rasters
+    from magiclens.matching.exhaustive_kernels import search
+    from magiclens.matching.raster_kernels import BLOCK_PIXELS, average_columns
+    from magiclens.optics.medium import image_optics_of
+
+    size, source = scene.lens.source_size_mm, channels.source
+    px, window = scene.lens.pitch_mm / options.pixels, options.window_on(scene.lens, pool.buckets)
+    grain, optics = seen_grain(scene), image_optics_of(scene)
+    per_side, values = options.pixels // BLOCK_PIXELS, tiles.values
+    blocks = values.reshape(*values.shape[:2], per_side, BLOCK_PIXELS, per_side, BLOCK_PIXELS).mean(axis=(3, 5))
+    scales = [s for s in resolved_scales(options.scales, px, channels.source_px_mm) if s * px < size]
+    pairs = [(s, s) for s in scales] if options.isotropic else list(itertools.product(scales, repeat=2))
+    for done, (sx, group) in enumerate(itertools.groupby(pairs, key=lambda p: p[0])):
+        x = rasters.raster_axis(sx, px, window.step, size)
+        columns = average_columns(source, *rasters.footprints(x, sx * px + grain, size, source.shape[2]))
+        for _, sy in group:
+            y = rasters.raster_axis(sy, px, window.step, size)
+            taps = rasters.footprints(y, sy * px + grain, size, source.shape[1])
+            samples, means = rasters.build_raster(columns, *taps, x, y)
+            raster = rasters.Raster(
+                samples, means, sx, sy, x.spacing_mm, y.spacing_mm, x.count, y.count, x.skip, y.skip
+            )  # fmt: skip
+            search(tiles, blocks, raster, window, not options.isotropic, optics, pool.found)
+        progress((done + 1) / len(scales))
+
+
+def resolved_scales(scales: tuple[float, ...], px: float, source_px: float) -> tuple[float, ...]:
+    """The scales without those so small that a tile pixel sees less than half a source pixel: these are raised."""
+    return tuple(sorted({max(scale, 0.5 * source_px / px) for scale in scales}))

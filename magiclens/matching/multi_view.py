@@ -2,17 +2,30 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from pydantic import Field
 
-from magiclens.contract.artifacts import Assignment, Candidates, FloatArray, HeightField, Scene
+from magiclens.contract.artifacts import Assignment, Candidates, FloatArray, HeightField, IntArray, Scene
 from magiclens.contract.stages import Matcher, Progress, silent
 from magiclens.contract.units import LengthOrPercent, relative
+from magiclens.images import resize, to_display
+from magiclens.matching.exhaustive import resolved_scales
+from magiclens.matching.grain import seen_grain
+from magiclens.matching.options import LatticeOptions
+from magiclens.matching.pool import Pool
+from magiclens.matching.tuples import Levels, PolishingRule
+
+if TYPE_CHECKING:
+    from magiclens.matching.multi_view_kernels import Facets, Views
 
 
-class MultiView(Matcher):
+class MultiViewMatcher(LatticeOptions, Matcher):
     """Candidates whose errors count what every eye sees, in position and in shape; best per bucket; polished.
 
     The paper makes each view the master in turn and follows its patches to the other eyes. Here the lattice is that
@@ -21,33 +34,139 @@ class MultiView(Matcher):
 
     type: ClassVar[str] = "multi-view"
 
-    window: LengthOrPercent = Field(relative("10%"), description="side of the search window, of the source's width")
-    scales: tuple[float, ...] = Field(
-        (0.1, 0.3, 0.8), min_length=1, description="magnitudes of the map along each axis"
-    )
-    maps: Literal["symmetric", "scale"] = Field(
-        "symmetric", description="`scale`: the paper's isotropic scales only; `symmetric`: flips, anisotropy, shear"
-    )
-    candidates: int = Field(64, ge=1, le=400, description="candidates kept per facet, at most")
-    acceptance: float = Field(
-        0.05, gt=0, description="candidates worse than a facet's best by more than this error are dropped (4.2)"
-    )
     step: LengthOrPercent = Field(relative("0.2mm"), description="distance between neighbouring offsets")
-    pixels: Literal[4, 8, 16] = Field(8, description="pixels per tile side when polishing")
-    polish: int = Field(64, ge=0, description="candidates per facet that are polished; 0: lattice positions only")
 
     def match(self, scene: Scene, rng: np.random.Generator, progress: Progress = silent) -> Candidates:
-        """Search, polish, judge. Raises InputError when some facet reaches no patch in every view."""
-        from magiclens.matching.several_eyes import match
+        """Search, polish, evaluate. Raises InputError when some facet reaches no patch in every view."""
+        return self.match_at(scene, np.zeros((scene.lens.facets,) * 2), progress)
 
-        return match(self, scene, np.zeros((scene.lens.facets,) * 2), progress)
+    def match_at(self, scene: Scene, heights_mm: FloatArray, progress: Progress = silent) -> Candidates:
+        """What ``match`` finds for facets whose centres are raised from the reference plane.
+
+        Args:
+            scene: the lens and its views.
+            heights_mm: (N, N) of the centres.
+            progress: is told the share that is done.
+
+        Raises:
+            InputError: some facet reaches no patch in every view.
+        """
+        from magiclens.matching.multi_view_kernels import BLOCKS, Trials, search_views
+        from magiclens.optics.medium import image_optics_of
+
+        lens, pictures = scene.lens, _pictures_of(scene)
+        pool = Pool(lens.facets**2, math.ceil(math.sqrt(self.candidates)))
+        source_px, block = lens.source_size_mm / pictures.sources.shape[2], lens.pitch_mm / BLOCKS
+        scales = resolved_scales(self.scales, block, source_px)
+        pairs = [(s, s) for s in scales] if self.isotropic else list(itertools.product(scales, repeat=2))
+        grain = seen_grain(scene)
+        views = pictures.seen(lens.facets * BLOCKS, 1 / source_px, lens.size_mm)
+        boxes = [[(s * block + grain) / source_px for s in pair] for pair in pairs]
+        images = np.stack([_averaged(pictures.sources, box) for box in boxes])
+        search_views(
+            views, _facets(scene, heights_mm), Trials(np.array(pairs), images, not self.isotropic),
+            self.window_on(lens, pool.buckets), image_optics_of(scene), pool.found,
+        )  # fmt: skip
+        progress(0.7)
+        pool.require_all(lens)
+        pool.sort()
+        return self._finish(scene, pictures, pool, heights_mm, progress)
 
     def rematch(
         self, scene: Scene, candidates: Candidates, assignment: Assignment, built: HeightField, traced: FloatArray,
         progress: Progress = silent,
     ) -> Candidates:  # fmt: skip
-        """All candidates polished and judged again with every facet where it now stands: its height moves it about
-        in the pictures of all eyes but the mean one."""
-        from magiclens.matching.several_eyes import rematch
+        """All candidates polished and evaluated again, with every facet at the height that it now has.
 
-        return rematch(self, scene, candidates, built.levels_mm, progress)
+        Its height moves a facet in the pictures of all eyes but the mean one. Facets that now see nothing but the
+        source's rim keep the candidates that they had.
+        """
+        pool, known = Pool.of(candidates), Pool.of(candidates)
+        return self._finish(scene, _pictures_of(scene), pool, built.levels_mm, progress, known)
+
+    def _finish(
+        self, scene: Scene, pictures: _Pictures, pool: Pool, heights: FloatArray, progress: Progress,
+        known: Pool | None = None,
+    ) -> Candidates:  # fmt: skip
+        """Polish and evaluate a pool of candidates; ``known`` is for facets that lose all of theirs."""
+        from magiclens.matching.evaluation_kernels import Staircase
+        from magiclens.matching.multi_view_kernels import evaluate_views, polish_views
+        from magiclens.matching.polishing import ITERATIONS, WIDTHS_MM, blur_levels
+        from magiclens.matching.rasters import DISPLAY_TABLE
+        from magiclens.optics.medium import image_optics_of
+
+        lens, pixels, window, optics = scene.lens, 2 * self.pixels, self.window_on(scene.lens), image_optics_of(scene)
+        per_mm = pictures.sources.shape[2] / lens.source_size_mm
+        views, facets = pictures.seen(lens.facets * pixels, per_mm, lens.size_mm), _facets(scene, heights)
+        grain = seen_grain(scene)
+        images = np.stack([blur_levels(s, 1 / per_mm, grain, WIDTHS_MM) for s in pictures.sources], axis=1)
+        levels, rule = Levels(images, np.array(WIDTHS_MM)), PolishingRule(self.polish, ITERATIONS, self.isotropic)
+        polish_views(views, facets, levels, pixels, window, rule, optics, pool.found)
+        progress(0.85)
+        pool.drop(self.acceptance)
+        stairs = Staircase(lens.microfacets, math.nan, DISPLAY_TABLE)  # the scale of flat facets is an eye's own
+        evaluate_views(views, facets, pictures.sources, pixels, stairs, window, optics, pool.found)
+        if known is not None:
+            pool.restore(known)
+        pool.require_all(lens)
+        pool.drop(self.acceptance)
+        pool.sort()
+        return replace(pool.candidates(lens, self.candidates), heights_mm=heights)
+
+
+@dataclass(frozen=True)
+class _Pictures:
+    """The pictures of a scene in the lens frame, y down.
+
+    Args:
+        sources: (S, C, H, H) float32 linear light, each once.
+        which: (V,) source of each view.
+        eyes_mm: (V, 3).
+        targets: (V, C, T, T) float32 linear light.
+    """
+
+    sources: FloatArray
+    which: IntArray
+    eyes_mm: FloatArray
+    targets: FloatArray
+
+    def seen(self, side: int, per_mm: float, size_mm: float) -> Views:
+        """The views with targets of so many pixels along a side, for kernels."""
+        from magiclens.matching.multi_view_kernels import Views
+
+        small = [np.moveaxis(resize(np.moveaxis(t, 0, -1), (side, side)), -1, 0) for t in self.targets]
+        targets = np.ascontiguousarray(to_display(np.stack(small)), np.float32)
+        return Views(self.eyes_mm, targets, self.which, per_mm, size_mm)
+
+
+def _pictures_of(scene: Scene) -> _Pictures:
+    """All views of a scene; pictures of different sizes are brought to the largest."""
+    views = [view.in_lens_frame() for view in scene.views]
+    keys = [(view.source_name, view.quarter_turns) for view in scene.views]
+    names = list(dict.fromkeys(keys))
+    side = max(len(view.source) for view in views)
+    across = max(len(view.target) for view in views)
+    sources = [resize(views[keys.index(name)].source, (side, side)) for name in names]
+    targets = [resize(view.target, (across, across)) for view in views]
+    return _Pictures(
+        np.ascontiguousarray(np.moveaxis(np.stack(sources), -1, 1)),
+        np.array([names.index(key) for key in keys]),
+        np.stack([view.eye_mm for view in views]) * (1, -1, 1),
+        np.moveaxis(np.stack(targets), -1, 1),
+    )
+
+
+def _averaged(sources: FloatArray, box: Sequence[float]) -> FloatArray:
+    """(S, C, H, W) float32 display values of sources averaged over boxes so many pixels wide and tall."""
+    from magiclens.matching.polishing import box_blur
+
+    return to_display(np.stack([box_blur(s, box[1], box[0]) for s in sources])).astype(np.float32)
+
+
+def _facets(scene: Scene, heights_mm: FloatArray) -> Facets:
+    """The facets of a scene's lens, their centres at heights (N, N), y down."""
+    from magiclens.matching.multi_view_kernels import Facets
+
+    lens = scene.lens
+    centres = lens.facet_centres_mm().reshape(-1, 2) * (1, -1)
+    return Facets(centres, np.ascontiguousarray(heights_mm, np.float64).ravel(), lens.pitch_mm)

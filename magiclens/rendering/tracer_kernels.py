@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit, prange
 
-from magiclens.kernels.sampling import place
+from magiclens.kernels.sampling import rotated_grid
 from magiclens.optics.refraction import refract, transmittance
 
 _MOST_EVENTS = 8
@@ -67,7 +67,7 @@ def trace_rows(grid, slab, eye, rows):
         i = rows.first + np.int64(row)  # prange counts unsigned
         for j in range(rows.resolution):
             for k in range(samples * samples):
-                right, down = place(k, samples)
+                right, down = rotated_grid(k, samples)
                 qx, qy = (j + right) * pixel - 0.5 * rows.size, 0.5 * rows.size - (i + down) * pixel
                 x, y, weight = _follow(grid, slab, eye, qx, qy)
                 hits[row, j, k, 0], hits[row, j, k, 1], hits[row, j, k, 2] = x, y, weight

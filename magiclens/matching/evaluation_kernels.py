@@ -1,0 +1,93 @@
+"""The final error of candidates: as flat micro-facets will show them, pixel by pixel.
+
+A flat micro-facet shows its patch unmagnified, so a lenslet's picture is a staircase: between the centres of two
+micro-facets it jumps. Polishing sees the staircase only as a blur; here it is sampled as it is.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit, prange
+
+from magiclens.contract.artifacts import FloatArray
+from magiclens.matching.reachability_kernels import distance_term
+
+LOOK_UPS = 2
+"""Source look-ups per side of a pixel."""
+
+
+class Staircase(NamedTuple):
+    """How flat micro-facets show the source.
+
+    Args:
+        microfacets: along a facet's side.
+        flat_scale: mm of the source seen per mm of a flat facet.
+        display: display values of evenly spaced linear light from 0 to 1.
+    """
+
+    microfacets: int
+    flat_scale: float
+    display: FloatArray
+
+
+# not plain fastmath, which takes infinity, the sign of an empty place, for impossible
+@njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc", "arcp"})
+def _evaluate_facet(f, tiles, source, per_mm, stairs, window, found):
+    """Replace the errors of the candidates of facet f, see ``evaluate``."""
+    channels, pixels = tiles.values.shape[1], tiles.values.shape[2]
+    height, width = source.shape[1], source.shape[2]
+    pitch, table = tiles.pitch, stairs.display
+    scale = (len(table) - 1) / (LOOK_UPS * LOOK_UPS)
+    cell, sub = pitch / stairs.microfacets, pitch / (pixels * LOOK_UPS)
+    light = np.zeros(channels, np.float32)
+    for k in range(found.errors.shape[1]):
+        if not np.isfinite(found.errors[f, k]):
+            continue
+        m, total = found.maps[f, k], 0.0
+        x0, y0 = tiles.centres[f, 0] + found.offsets[f, k, 0], tiles.centres[f, 1] + found.offsets[f, k, 1]
+        for p in range(pixels * pixels):
+            light[:] = 0.0
+            for s in range(LOOK_UPS * LOOK_UPS):
+                u = ((p % pixels) * LOOK_UPS + s % LOOK_UPS + 0.5) * sub
+                v = ((p // pixels) * LOOK_UPS + s // LOOK_UPS + 0.5) * sub
+                a, b = (math.floor(u / cell) + 0.5) * cell, (math.floor(v / cell) + 0.5) * cell
+                du, dv = stairs.flat_scale * (u - a), stairs.flat_scale * (v - b)
+                a, b = a - 0.5 * pitch, b - 0.5 * pitch
+                x = (x0 + m[0] * a + m[1] * b + du) * per_mm + 0.5 * width - 0.5
+                y = (y0 + m[1] * a + m[2] * b + dv) * per_mm + 0.5 * height - 0.5
+                if not (-0.5 <= x <= width - 0.5 and -0.5 <= y <= height - 0.5):
+                    continue  # beside the source it is dark
+                x, y = min(max(x, 0.0), width - 1.001), min(max(y, 0.0), height - 1.001)
+                ix, iy = int(x), int(y)
+                fx, fy = np.float32(x - ix), np.float32(y - iy)
+                for c in range(channels):
+                    top = source[c, iy, ix] + (source[c, iy, ix + 1] - source[c, iy, ix]) * fx
+                    low = source[c, iy + 1, ix] + (source[c, iy + 1, ix + 1] - source[c, iy + 1, ix]) * fx
+                    light[c] += top + (low - top) * fy
+            for c in range(channels):
+                seen = table[int(light[c] * scale + 0.5)]
+                total += (seen - tiles.values[f, c, p // pixels, p % pixels]) ** 2
+        far = distance_term(found.offsets[f, k, 0], found.offsets[f, k, 1], window)
+        found.errors[f, k] = total / (channels * pixels * pixels) + far
+
+
+@njit(cache=True, parallel=True)
+def evaluate(tiles, source, per_mm, stairs, window, found):
+    """Replace candidates' errors by what flat micro-facets show; inf stays.
+
+    ``error = mean over pixels of (display(mean light of the look-ups) - tile)^2 + distance_term`` with the look-up of a
+    point p in the micro-facet centred at a at ``c + R + M a + flat_scale (p - a)``.
+
+    Args:
+        tiles: ``Tiles`` (F, C, P, P).
+        source: (C, H, W) float32, linear light.
+        per_mm: source pixels per mm.
+        stairs: how flat micro-facets show the source.
+        window: the search window.
+        found: the candidates; their errors are updated in place.
+    """
+    for f in prange(len(tiles.centres)):
+        _evaluate_facet(f, tiles, source, per_mm, stairs, window, found)

@@ -1,0 +1,50 @@
+"""The options that matchers share, so that their candidates are polished and evaluated alike."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from magiclens.contract.artifacts import Lens
+from magiclens.contract.units import LengthOrPercent, relative
+from magiclens.matching.tuples import Window
+
+
+class MatchingOptions(BaseModel):
+    """What ``polished`` must know. A matcher inherits from it, and with it these keys of its spec.
+
+    Frozen and strict as a stage's options are. A subclass changes a default by declaring the field again.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
+
+    window: LengthOrPercent = Field(relative("10%"), description="side of the search window, of the source's width")
+    candidates: int = Field(64, ge=1, le=400, description="candidates kept per facet, at most")
+    acceptance: float = Field(
+        0.05, gt=0, description="candidates worse than a facet's best by more than this error are dropped (4.2)"
+    )
+    pixels: Literal[4, 8, 16] = Field(8, description="pixels per tile side in the search, half of those in polishing")
+    step: LengthOrPercent = Field(relative("0.13mm"), description="distance between neighbouring offsets")
+    polish: int = Field(64, ge=0, description="candidates per facet that are polished; 0: lattice positions only")
+
+    def window_on(self, lens: Lens, buckets: int = 1) -> Window:
+        """The search window of a lens's facets, mm, for kernels."""
+        width = lens.source_size_mm
+        return Window(self.window.mm(width) / 2, self.step.mm(width), buckets)
+
+
+class LatticeOptions(MatchingOptions):
+    """Options of a search that tries every offset of the window at every map of a lattice."""
+
+    scales: tuple[float, ...] = Field(
+        (0.1, 0.3, 0.8), min_length=1, description="magnitudes of the map along each axis"
+    )
+    maps: Literal["symmetric", "scale"] = Field(
+        "symmetric", description="`scale`: the paper's isotropic scales only; `symmetric`: flips, anisotropy, shear"
+    )
+
+    @property
+    def isotropic(self) -> bool:
+        """Whether only the paper's isotropic scales are tried."""
+        return self.maps == "scale"

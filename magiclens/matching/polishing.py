@@ -1,0 +1,115 @@
+"""Polishing and evaluation, for all matchers whose views share an eye: rough candidates become as good as can be."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from magiclens.contract.artifacts import Candidates, FloatArray, Scene
+from magiclens.images import to_display
+from magiclens.matching.channels import Channels, stack_channels
+from magiclens.matching.evaluation_kernels import Staircase, evaluate
+from magiclens.matching.grain import flat_scale, seen_grain
+from magiclens.matching.options import MatchingOptions
+from magiclens.matching.polishing_kernels import drop_unreachable, polish
+from magiclens.matching.pool import Pool
+from magiclens.matching.rasters import DISPLAY_TABLE
+from magiclens.matching.tuples import Levels, PolishingRule, Tiles
+from magiclens.optics.medium import image_optics_of
+
+WIDTHS_MM = (0.0, 0.1, 0.2, 0.35)
+"""Widths of the boxes over which sources are averaged, mm: patches that are seen small need the widest."""
+ITERATIONS = 10
+"""Levenberg-Marquardt steps per candidate, at most."""
+
+
+def polished(scene: Scene, rough: Candidates, options: MatchingOptions, isotropic: bool = False) -> Candidates:
+    """Move, scale and shear candidates until their patches' edges fall on the tile's; best first (4.2).
+
+    What refraction cannot reach is left out. Errors are those that flat micro-facets will show, sampled pixel by pixel,
+    the distance term included.
+
+    Args:
+        scene: its views must share an eye in the lens frame.
+        rough: (N, N, K) candidates, whose errors need only be finite.
+        options: of the matcher that found them.
+        isotropic: whether maps are and stay multiples of the identity.
+
+    Returns:
+        (N, N, at most ``options.candidates``) candidates.
+
+    Raises:
+        InputError: a facet has no candidate that it can show, or views do not share an eye.
+    """
+    lens, pool = scene.lens, Pool.of(rough)
+    centres = lens.facet_centres_mm().reshape(-1, 2) * (1, -1)
+    drop_unreachable(centres, lens.pitch_mm / 2, image_optics_of(scene), pool.found)
+    pool.require_all(lens)
+    pool.sort()
+    finish(pool, scene, stack_channels(scene), slice(0, lens.facets), options, isotropic)
+    return pool.candidates(lens, options.candidates)
+
+
+def finish(
+    pool: Pool, scene: Scene, channels: Channels, rows: slice, options: MatchingOptions, isotropic: bool
+) -> None:
+    """Polish, evaluate and sort what a search has left in the pool.
+
+    Args:
+        pool: the candidates of the facets in these rows.
+        scene: the lens and its views.
+        channels: its views, stacked.
+        rows: of facets.
+        options: of the matcher.
+        isotropic: whether maps stay multiples of the identity.
+    """
+    lens, pixels, per_mm = scene.lens, 2 * options.pixels, 1 / channels.source_px_mm
+    tiles = channels.tiles(lens.facets, pixels)[rows].reshape(len(pool.errors), -1, pixels, pixels)
+    centres, window = lens.facet_centres_mm()[rows].reshape(-1, 2) * (1, -1), options.window_on(lens)
+    levels = blur_levels(channels.source, channels.source_px_mm, seen_grain(scene), WIDTHS_MM)
+    polish(
+        Tiles(_channels_last(tiles), centres, lens.pitch_mm), Levels(_channels_last(levels), np.array(WIDTHS_MM)),
+        per_mm, window, PolishingRule(options.polish, ITERATIONS, isotropic), image_optics_of(scene), pool.found,
+    )  # fmt: skip
+    pool.drop(options.acceptance)
+    stairs = Staircase(lens.microfacets, flat_scale(scene), DISPLAY_TABLE)
+    evaluate(Tiles(tiles, centres, lens.pitch_mm), channels.source, per_mm, stairs, window, pool.found)
+    pool.drop(options.acceptance)
+    pool.sort()
+
+
+def blur_levels(source: FloatArray, source_px_mm: float, grain_mm: float, widths_mm: tuple[float, ...]) -> FloatArray:
+    """Average a source over boxes of several widths.
+
+    A flat micro-facet shows a patch of its own size, ``grain_mm``, unmagnified: every level is averaged over that too.
+
+    Args:
+        source: (C, H, W) linear light.
+        source_px_mm: side of a source pixel.
+        grain_mm: side of what a micro-facet shows.
+        widths_mm: of the boxes.
+
+    Returns:
+        (L, C, H, W) float32 display values.
+    """
+    grain = grain_mm / source_px_mm
+    grained = box_blur(source, grain, grain)
+    widths = [w / source_px_mm for w in widths_mm]
+    return np.stack([to_display(box_blur(grained, w, w)) for w in widths]).astype(np.float32)
+
+
+def box_blur(image: FloatArray, rows: float, columns: float) -> FloatArray:
+    """Average of (C, H, W) over centred boxes of so many pixels, which need not be whole numbers."""
+    from scipy.ndimage import convolve1d
+
+    out = image
+    for axis, width in ((1, rows), (2, columns)):
+        if width > 1.0:
+            whole = int((width - 1) / 2)
+            rest = (width - 1) / 2 - whole
+            kernel = np.concatenate([[rest], np.ones(2 * whole + 1), [rest]]) / width
+            out = convolve1d(out, kernel, axis=axis, mode="nearest")
+    return out
+
+
+def _channels_last(images: FloatArray) -> FloatArray:
+    return np.ascontiguousarray(np.moveaxis(images, -3, -1))

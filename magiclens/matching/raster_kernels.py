@@ -1,0 +1,78 @@
+"""Kernels that resample the source, see ``rasters``."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+
+BLOCK_PIXELS = 4
+"""Tile pixels per side of a block whose mean bounds the squared difference from below."""
+
+
+@njit(cache=True, parallel=True, fastmath=True)
+def average_columns(source, first, weights):
+    """(C, H, W) -> (C, H, count) float32: footprint averages along x, linear light; see ``footprints``."""
+    channels, rows, _ = source.shape
+    count, taps = weights.shape
+    out = np.zeros((channels, rows, count), np.float32)
+    last = source.shape[2] - 1
+    for cr in prange(channels * rows):
+        c, r = cr // rows, cr % rows
+        for x in range(count):
+            s = np.float32(0.0)
+            for t in range(taps):
+                s += weights[x, t] * source[c, r, min(first[x] + t, last)]
+            out[c, r, x] = s
+    return out
+
+
+@njit(cache=True, parallel=True, fastmath=True)
+def display_rows(columns, first, weights, table):
+    """(C, H, X) -> (C, count, X) float32: footprint averages along y, looked up in a table of display values."""
+    channels, rows, width = columns.shape
+    count, taps = weights.shape
+    out = np.zeros((channels, count, width), np.float32)
+    for cy in prange(channels * count):
+        c, y = cy // count, cy % count
+        line = np.zeros(width, np.float32)
+        for t in range(taps):
+            w, r = weights[y, t], min(first[y] + t, rows - 1)
+            for x in range(width):
+                line[x] += w * columns[c, r, x]
+        for x in range(width):
+            k = int(line[x] * np.float32(len(table) - 1) + np.float32(0.5))
+            out[c, y, x] = table[min(max(k, 0), len(table) - 1)]
+    return out
+
+
+@njit(cache=True, parallel=True, fastmath=True)
+def block_means(plain, skip_y, skip_x):
+    """(C, Y, X) float32: means of the tile pixels of a block from each sample on, ``skip`` samples apart."""
+    channels, rows, width = plain.shape
+    out = np.zeros_like(plain)
+    span_y, span_x = (BLOCK_PIXELS - 1) * skip_y, (BLOCK_PIXELS - 1) * skip_x
+    for cy in prange(channels * max(rows - span_y, 0)):
+        c, y = cy // (rows - span_y), cy % (rows - span_y)
+        line = np.zeros(width, np.float32)
+        for k in range(BLOCK_PIXELS):
+            for x in range(width):
+                line[x] += plain[c, y + k * skip_y, x]
+        for x in range(width - span_x):
+            s = np.float32(0.0)
+            for k in range(BLOCK_PIXELS):
+                s += line[x + k * skip_x]
+            out[c, y, x] = s * np.float32(1.0 / (BLOCK_PIXELS * BLOCK_PIXELS))
+    return out
+
+
+@njit(cache=True, parallel=True)
+def split(plain, out):
+    """Fill out (C, sy, sx, Y / sy, X / sx) with the samples of plain (C, Y, X), split by phase."""
+    channels, rows, width = plain.shape
+    sy, sx = out.shape[1], out.shape[2]
+    for cy in prange(channels * rows):
+        c, y = cy // rows, cy % rows
+        for phase in range(sx):
+            line, from_ = out[c, y % sy, phase, y // sy], plain[c, y, phase:]
+            for k in range((width - phase + sx - 1) // sx):
+                line[k] = from_[k * sx]
