@@ -18,7 +18,7 @@ from magiclens.geometry.solid import solid_from_heights
 from magiclens.images import resize, to_display
 from magiclens.integration.laplacian import cosines
 from magiclens.integration.poisson import Poisson
-from magiclens.integration.refinement import LOOK_UPS, optics_for, pictures_of, predicted_errors, samples_of
+from magiclens.integration.refinement import LOOK_UP_SCHEDULE, optics_for, pictures_of, predicted_errors, samples_of
 from magiclens.integration.refinement_kernels import (
     Rays,
     Shown,
@@ -95,7 +95,7 @@ def showing(scene: Scene, built: HeightField) -> Scene:
 def traced(scene: Scene, built: HeightField, view: View) -> FloatArray:
     """What the built-in tracer sees, in the exposure that makes up for reflection losses; world frame."""
     lens = scene.lens
-    hits = trace(solid_from_heights(built), lens, view, lens.facets * samples_of(lens, LOOK_UPS[-1]).pixels, 4)
+    hits = trace(solid_from_heights(built), lens, view, lens.facets * samples_of(lens, LOOK_UP_SCHEDULE[-1]).pixels, 4)
     seen = picture(hits, view.in_lens_frame().source, lens.source_size_mm) / np.median(hits[..., 2])
     return np.ascontiguousarray(np.rot90(seen.clip(0, 1), view.quarter_turns))
 
@@ -320,7 +320,7 @@ class Facet:
         self.scene = showing(replace(scene, views=views), built)
         self.heights = built.heights_mm[1, 2].copy()
         self.centre, self.optics = scene.lens.facet_centres_mm()[1, 2], optics_for(built)
-        self.samples = samples_of(scene.lens, LOOK_UPS[0])
+        self.samples = samples_of(scene.lens, LOOK_UP_SCHEDULE[0])
         self.pictures = pictures_of(self.scene, self.samples.pixels)
         self.triangles, self.channels = 2 * scene.lens.microfacets**2, len(self.pictures.plane)
         self.seen = self.look(self.heights)

@@ -23,7 +23,7 @@ from magiclens.optics.medium import Cut, Optics, optics_of
 
 _BLURS = (0.08, 0.03, 0.0)
 """Blurs of the sources, one after the other, in facet widths: rays find their way down a blurred edge from far away."""
-LOOK_UPS = (3, 3, 6)
+LOOK_UP_SCHEDULE = (3, 3, 6)
 """Approximate number of look-ups of the source along a micro-facet's side, per blur.
 
 With few of them, a detail of the source between two look-ups has no influence on the shape."""
@@ -67,7 +67,7 @@ def refine(
     """
     facets = _Facets(scene, built, locked)
     progress(0.1)
-    for stage, (blur, look_ups) in enumerate(zip(_BLURS, LOOK_UPS, strict=True)):
+    for stage, (blur, look_ups) in enumerate(zip(_BLURS, LOOK_UP_SCHEDULE, strict=True)):
         if stage == len(_BLURS) - 1:
             # facets that blurred sources led astray start from their given shapes again, now with a sharp source
             facets.keep_better(facets.errors())
@@ -98,8 +98,8 @@ class _Facets:
     def __init__(self, scene: Scene, built: HeightField, locked: bool):
         k, lens = scene.lens.microfacets + 1, scene.lens
         self._lens, self._optics, self._centres = lens, optics_for(built), lens.facet_centres_mm().reshape(-1, 2)
-        self._samples = {look_ups: samples_of(lens, look_ups) for look_ups in LOOK_UPS}
-        finest = self._samples[LOOK_UPS[-1]]
+        self._samples = {look_ups: samples_of(lens, look_ups) for look_ups in LOOK_UP_SCHEDULE}
+        finest = self._samples[LOOK_UP_SCHEDULE[-1]]
         self._pictures = pictures_of(scene, finest.pixels)
         matrix, eigenvalues = cosines(k)
         free = np.ones((k, k))
@@ -113,14 +113,14 @@ class _Facets:
 
     def errors(self) -> FloatArray:
         """(F,) errors as they are; inf for perfect ones."""
-        return self.descend(0.0, LOOK_UPS[-1], 0, lambda _: None)
+        return self.descend(0.0, LOOK_UP_SCHEDULE[-1], 0, lambda _: None)
 
     def descend(self, blur: float, look_ups: int, rounds: int, progress: Callable[[float], None]) -> FloatArray:
         """Take steps with all facets that are not perfect.
 
         Args:
             blur: of the sources, in facet widths.
-            look_ups: number of look-ups along a micro-facet's side, of ``LOOK_UPS``.
+            look_ups: number of look-ups along a micro-facet's side, of ``LOOK_UP_SCHEDULE``.
             rounds: steps per facet, at most.
             progress: is told the share of the facets that are done.
 

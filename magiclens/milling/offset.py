@@ -16,7 +16,7 @@ from magiclens.milling.border import Rectangle
 from magiclens.milling.offset_kernels import (
     DepthMap,
     OffsetFaces,
-    Raster,
+    TipRaster,
     TouchableEdges,
     fill_depths,
     lowest_tips,
@@ -68,7 +68,7 @@ class Contacts:
         ends, reach = np.stack([self._edges.low[:, 1], self._edges.high[:, 1]], axis=1), self._edges.reach
         edge_rows = index_rows(ends.min(axis=1) - reach, ends.max(axis=1) + reach, y_mm, y_mm)
         step = (x_mm[-1] - x_mm[0]) / (len(x_mm) - 1) if len(x_mm) > 1 else 1.0
-        raster = Raster(float(x_mm[0]), float(step), len(x_mm), np.ascontiguousarray(y_mm, np.float64))
+        raster = TipRaster(float(x_mm[0]), float(step), len(x_mm), np.ascontiguousarray(y_mm, np.float64))
         z: FloatArray = lowest_tips(
             self._outline, self._faces, face_rows, self._edges, edge_rows, raster, float(floor_mm)
         )

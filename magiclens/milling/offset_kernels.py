@@ -39,7 +39,7 @@ class TouchableEdges(NamedTuple):
     reach: FloatArray
 
 
-class Raster(NamedTuple):
+class TipRaster(NamedTuple):
     """Points at which tips are asked for: x = x0 + dx * column, y = y_mm[row], mm."""
 
     x0: float
@@ -117,7 +117,7 @@ def lowest_tips(outline, faces, face_rows, edges, edge_rows, raster, floor):
         outline: the cutter's ``Outline``.
         faces, edges: ``OffsetFaces`` and ``TouchableEdges``.
         face_rows, edge_rows: the ``RowIndex`` of each over the rows of the raster.
-        raster: a ``Raster``.
+        raster: a ``TipRaster``.
         floor: z where there is no surface, mm.
 
     Returns:
