@@ -7,10 +7,10 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field, model_validator
 
-from magiclens import Candidates, Exhaustive, LengthOrPercent, Matcher, Progress, Scene, relative, silent
+from magiclens import Candidates, LengthOrPercent, Matcher, MatchingOptions, Progress, Scene, relative, silent
 
 
-class PatchMatch(Matcher):
+class PatchMatch(MatchingOptions, Matcher):
     """As many patches are compared in a large window as in a small one; the best are polished as by ``exhaustive``.
 
     Every facet keeps the best patch of each part of its window, so that the annealer has something to choose from.
@@ -22,11 +22,7 @@ class PatchMatch(Matcher):
     smallest: float = Field(0.07, gt=0, description="smallest magnitude of the map along an axis")
     largest: float = Field(1.2, gt=0, description="largest magnitude of the map along an axis")
     guesses: int = Field(2000, ge=1, description="random patches per part of the window, to start with")
-    rounds: int = Field(6, ge=0, description="of asking neighbours and searching around")
-    candidates: int = Field(64, ge=1, le=400, description="candidates kept per facet, at most")
-    acceptance: float = Field(
-        0.05, gt=0, description="candidates worse than a facet's best by more than this error are dropped"
-    )
+    rounds: int = Field(6, ge=0, description="rounds of asking neighbours and searching around")
 
     @model_validator(mode="after")
     def _has_scales(self) -> PatchMatch:
@@ -39,5 +35,4 @@ class PatchMatch(Matcher):
         from magiclens import polished
         from mlens_patchmatch.search import search
 
-        exact = Exhaustive(window=self.window, candidates=self.candidates, acceptance=self.acceptance)
-        return polished(scene, search(self, scene, rng, progress), exact)
+        return polished(scene, search(self, scene, rng, progress), self)

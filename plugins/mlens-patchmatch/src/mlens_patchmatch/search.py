@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from magiclens import Candidates, FloatArray, InputError, Progress, Scene, central_slopes, resize, to_display
-from mlens_patchmatch.guessing import PIXELS, guess, improve
+from mlens_patchmatch.search_kernels import PIXELS, World, guess, improve
 
 BoolArray = NDArray[np.bool_]
 
 if TYPE_CHECKING:
     from mlens_patchmatch.matcher import PatchMatch
 
-REACH_CELLS = 64
-"""Per side of the window, of the table of what refraction can reach."""
+_REACH_CELLS = 64
+"""Cells per side of the window, in the table of what refraction can reach."""
 
 
 def search(options: PatchMatch, scene: Scene, rng: np.random.Generator, progress: Progress) -> Candidates:
@@ -37,17 +37,19 @@ def search(options: PatchMatch, scene: Scene, rng: np.random.Generator, progress
     order = rng.permutation(PIXELS * PIXELS)
     seeds = rng.integers(1, 2**63, n * n).astype(np.uint64)
     errors = np.full((n * n, parts * parts), np.inf, np.float32)
-    places = np.zeros((n * n, parts * parts, 4), np.float32)
+    patches = np.zeros((n * n, parts * parts, 4), np.float32)
     flat = np.ascontiguousarray(tiles, np.float32)
-    world = (flat, levels, widths, per_mm, px, window, order, centres, _reach(scene, window))
-    low, high = math.log(options.smallest), math.log(options.largest)
-    guess(world, low, high, options.guesses, seeds, errors, places)
+    world = World(
+        flat, centres, _reach(scene, window), levels, widths, per_mm, px, window, order,
+        math.log(options.smallest), math.log(options.largest),
+    )  # fmt: skip
+    guess(world, options.guesses, seeds, errors, patches)
     for done in range(options.rounds):
-        improve(world, low, high, n, seeds, errors.copy(), places.copy(), errors, places)
+        improve(world, n, seeds, errors.copy(), patches.copy(), errors, patches)
         progress((done + 1) / (options.rounds + 1))
     k = (n, n, -1)
-    maps = np.stack([places[..., 2], np.zeros_like(errors), places[..., 3]], axis=-1)
-    offsets = places[..., :2] * np.array([1, -1], np.float32)
+    maps = np.stack([patches[..., 2], np.zeros_like(errors), patches[..., 3]], axis=-1)
+    offsets = patches[..., :2] * np.array([1, -1], np.float32)
     return Candidates(offsets.reshape(*k, 2), maps.reshape(*k, 3), errors.reshape(k))
 
 
@@ -64,7 +66,7 @@ def _stacked(scene: Scene) -> tuple[FloatArray, FloatArray]:
 
 def _reach(scene: Scene, window: float) -> BoolArray:
     """(F, cells, cells) bool: whether the middle of a facet can show what lies in a cell of its window; y down."""
-    n, at = scene.lens.facets, ((np.arange(REACH_CELLS) + 0.5) / REACH_CELLS * 2 - 1) * window
+    n, at = scene.lens.facets, ((np.arange(_REACH_CELLS) + 0.5) / _REACH_CELLS * 2 - 1) * window
     x, y = np.meshgrid(at, -at)
     offsets = np.broadcast_to(np.stack([x, y], axis=-1).reshape(-1, 2), (n, n, x.size, 2))
     slopes = np.linalg.norm(central_slopes(scene, np.ascontiguousarray(offsets)), axis=-1)
