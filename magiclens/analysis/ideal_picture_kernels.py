@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from magiclens.kernels.sampling import rotated_grid
+from magiclens.kernels.sampling import clamped_cell, rotated_grid, weighted_look_up
 
 
 class IdealFacets(NamedTuple):
@@ -85,10 +85,6 @@ def sample_ideal_picture(rows_of_picture, source, per_mm, facets, size, samples,
                 sy = (at[1] + m[1, 0] * u + m[1, 1] * v) * per_mm + rows / 2 - 0.5
                 if not (-0.5 <= sx <= columns - 0.5 and -0.5 <= sy <= rows - 0.5):
                     continue  # beside the source it is dark
-                sx, sy = min(max(sx, 0.0), columns - 1.001), min(max(sy, 0.0), rows - 1.001)
-                ix, iy = int(sx), int(sy)
-                fx, fy = sx - ix, sy - iy
+                ix, iy, fx, fy = clamped_cell(sx, sy, columns, rows)
                 for ch in range(channels):
-                    top = source[iy, ix, ch] * (1 - fx) + source[iy, ix + 1, ch] * fx
-                    low = source[iy + 1, ix, ch] * (1 - fx) + source[iy + 1, ix + 1, ch] * fx
-                    out[r, c, ch] += (top * (1 - fy) + low * fy) / (samples * samples)
+                    out[r, c, ch] += weighted_look_up(source, iy, ix, ch, fx, fy) / (samples * samples)

@@ -254,6 +254,7 @@ def _gather(samples, rays, pictures, e, light, gradients):
         column, row = x * per_mm + middle, middle - y * per_mm
         if not (0.0 <= column < rows - 1.001 and 0.0 <= row < rows - 1.001):
             continue  # beside the source it is dark
+        # not ``sampling.bilinear``, which would find these pixels and weights again for every channel
         i, j = int(row), int(column)
         # float32 as the sources: float64 weights would turn all sums below into float64
         fy, fx = np.float32(row - i), np.float32(column - j)

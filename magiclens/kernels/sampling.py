@@ -13,14 +13,45 @@ def rotated_grid(k, samples):
     return (a + (b + 0.5) / samples) / samples, (b + (samples - a - 0.5) / samples) / samples
 
 
+# inlined before typing, so that the callers' own fastmath flags hold, and every caller gets the bits of its own code
+@njit(inline="always")
+def clamped_cell(x, y, columns, rows):
+    """The four pixels around a point of a raster, as column and row of the upper left, and the point's place in them.
+
+    Args:
+        x, y: column and row of the point, pixel centres being whole numbers; outside, the nearest point counts.
+        columns, rows: of the raster.
+
+    Returns:
+        Column, row, and how far the point lies toward the next column and row, from 0 to 1.
+    """
+    # a thousandth short of the last pixel's centre, so that there is always a next pixel to weigh with
+    x, y = min(max(x, 0.0), columns - 1.001), min(max(y, 0.0), rows - 1.001)
+    ix, iy = int(x), int(y)
+    return ix, iy, x - ix, y - iy
+
+
+@njit(inline="always")
+def blend(upper, lower, fx, fy):
+    """Bilinear mean of four values, the upper two and the lower two, each from left to right."""
+    top, low = upper[0] + (upper[1] - upper[0]) * fx, lower[0] + (lower[1] - lower[0]) * fx
+    return top + (low - top) * fy
+
+
+@njit(inline="always")
+def weighted_look_up(image, row, column, channel, fx, fy):
+    """Bilinear mean of an image (H, W, C), as weights of its pixels: the same that fill a sparse matrix."""
+    top = image[row, column, channel] * (1 - fx) + image[row, column + 1, channel] * fx
+    low = image[row + 1, column, channel] * (1 - fx) + image[row + 1, column + 1, channel] * fx
+    return top * (1 - fy) + low * fy
+
+
 @njit(cache=True, fastmath=True)
 def bilinear(image, x, y):
     """Bilinear value of an image (H, W) and its derivatives per pixel at column x and row y, clamped to the image."""
     h, w = image.shape
-    x = min(max(x, 0.0), w - 1.001)
-    y = min(max(y, 0.0), h - 1.001)
-    ix, iy = int(x), int(y)
-    fx, fy = np.float32(x - ix), np.float32(y - iy)
+    ix, iy, fx, fy = clamped_cell(x, y, w, h)
+    fx, fy = np.float32(fx), np.float32(fy)
     a, b = image[iy, ix], image[iy, ix + 1]
     c, d = image[iy + 1, ix], image[iy + 1, ix + 1]
     top, low = a + (b - a) * fx, c + (d - c) * fx

@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit, prange
 
 from magiclens.contract.artifacts import FloatArray
+from magiclens.kernels.sampling import blend, clamped_cell
 from magiclens.matching.reachability_kernels import distance_term
 
 LOOK_UPS = 2
@@ -60,13 +61,10 @@ def _evaluate_facet(f, tiles, source, per_mm, stairs, window, found):
                 y = (y0 + m[1] * a + m[2] * b + dv) * per_mm + 0.5 * height - 0.5
                 if not (-0.5 <= x <= width - 0.5 and -0.5 <= y <= height - 0.5):
                     continue  # beside the source it is dark
-                x, y = min(max(x, 0.0), width - 1.001), min(max(y, 0.0), height - 1.001)
-                ix, iy = int(x), int(y)
-                fx, fy = np.float32(x - ix), np.float32(y - iy)
+                ix, iy, dx, dy = clamped_cell(x, y, width, height)
+                fx, fy = np.float32(dx), np.float32(dy)
                 for c in range(channels):
-                    top = source[c, iy, ix] + (source[c, iy, ix + 1] - source[c, iy, ix]) * fx
-                    low = source[c, iy + 1, ix] + (source[c, iy + 1, ix + 1] - source[c, iy + 1, ix]) * fx
-                    light[c] += top + (low - top) * fy
+                    light[c] += blend(source[c, iy, ix : ix + 2], source[c, iy + 1, ix : ix + 2], fx, fy)
             for c in range(channels):
                 seen = table[int(light[c] * scale + 0.5)]
                 total += (seen - tiles.values[f, c, p // pixels, p % pixels]) ** 2

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit, prange
 
 from magiclens.contract.artifacts import FloatArray, IntArray
-from magiclens.kernels.sampling import bilinear
+from magiclens.kernels.sampling import bilinear, blend, clamped_cell
 from magiclens.matching.evaluation_kernels import LOOK_UPS
 from magiclens.matching.polishing_kernels import PARAMETERS, polishing_step
 from magiclens.matching.reachability_kernels import distance_term, reachable
@@ -341,8 +341,8 @@ def _evaluate_facet(f, views, facets, shown, window, optics, found):
     sources, pixels, stairs = shown
     targets, per_mm, pitch, table = views.targets, views.per_mm, facets.pitch, stairs.display
     count, channels = targets.shape[0], targets.shape[1]
-    half = 0.5 * sources.shape[3] - 0.5
-    last_x = sources.shape[3] - 1.001
+    side = sources.shape[3]
+    half = 0.5 * side - 0.5
     target_per_mm = targets.shape[2] / views.size
     target_half = 0.5 * targets.shape[2] - 0.5
     scale = (len(table) - 1) / (LOOK_UPS * LOOK_UPS)
@@ -375,13 +375,10 @@ def _evaluate_facet(f, views, facets, shown, window, optics, found):
                     x, y = x * per_mm + half, y * per_mm + half
                     if abs(x - half) > half + 0.5 or abs(y - half) > half + 0.5:
                         continue  # beside the source it is dark
-                    x, y = min(max(x, 0.0), last_x), min(max(y, 0.0), last_x)
-                    ix, iy = int(x), int(y)
-                    fx, fy = np.float32(x - ix), np.float32(y - iy)
+                    ix, iy, dx, dy = clamped_cell(x, y, side, side)
+                    fx, fy = np.float32(dx), np.float32(dy)
                     for c in range(channels):
-                        top = source[c, iy, ix] + (source[c, iy, ix + 1] - source[c, iy, ix]) * fx
-                        low = source[c, iy + 1, ix] + (source[c, iy + 1, ix + 1] - source[c, iy + 1, ix]) * fx
-                        light[c] += top + (low - top) * fy
+                        light[c] += blend(source[c, iy, ix : ix + 2], source[c, iy + 1, ix : ix + 2], fx, fy)
                 u, w = (pixel % pixels + 0.5) * px - 0.5 * pitch, (pixel // pixels + 0.5) * px - 0.5 * pitch
                 tx = (position[0] + spread[0, 0] * u + spread[0, 1] * w) * target_per_mm + target_half
                 ty = (position[1] + spread[1, 0] * u + spread[1, 1] * w) * target_per_mm + target_half

@@ -24,7 +24,7 @@ class MatchingOptions(BaseModel):
     acceptance: float = Field(
         0.05, gt=0, description="candidates worse than a facet's best by more than this error are dropped (4.2)"
     )
-    pixels: Literal[4, 8, 16] = Field(8, description="pixels per tile side in the search; polishing compares twice as many")
+    pixels: Literal[4, 8, 16] = Field(8, description="pixels per tile side in the search, half of those in polishing")
     step: LengthOrPercent = Field(relative("0.13mm"), description="distance between neighbouring offsets")
     polish: int = Field(64, ge=0, description="candidates per facet that are polished; 0: lattice positions only")
 

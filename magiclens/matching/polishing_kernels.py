@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit, prange
 
 from magiclens.kernels.cholesky import solve_damped
+from magiclens.kernels.sampling import clamped_cell
 from magiclens.matching.reachability_kernels import distance_term, reachable
 
 PARAMETERS = 5
@@ -39,10 +40,10 @@ def _normal_equations(tile, levels, per_mm, centre, px, p, jtj, jtr):
         xx0 = xx1 = xx2 = xy0 = xy1 = xy2 = yy0 = yy1 = yy2 = xr0 = xr1 = yr0 = yr1 = np.float32(0.0)
         for kx in range(pixels):
             u = (kx - 0.5 * (pixels - 1)) * px
-            x = min(max((centre[0] + p[0] + p[2] * u + p[3] * v) * per_mm + half_w, 0.0), columns - 1.001)
-            y = min(max((centre[1] + p[1] + p[3] * u + p[4] * v) * per_mm + half_h, 0.0), rows - 1.001)
-            i, j = int(y), int(x)
-            fx, fy, u = np.float32(x - j), np.float32(y - i), np.float32(u)
+            x = (centre[0] + p[0] + p[2] * u + p[3] * v) * per_mm + half_w
+            y = (centre[1] + p[1] + p[3] * u + p[4] * v) * per_mm + half_h
+            j, i, dx, dy = clamped_cell(x, y, columns, rows)
+            fx, fy, u = np.float32(dx), np.float32(dy), np.float32(u)
             xx = xy = yy = xr = yr = np.float32(0.0)
             for c in range(channels):
                 tl, tr, bl, br = image[i, j, c], image[i, j + 1, c], image[i + 1, j, c], image[i + 1, j + 1, c]

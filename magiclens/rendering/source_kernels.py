@@ -9,16 +9,16 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
+from magiclens.kernels.sampling import clamped_cell, weighted_look_up
+
 
 @njit(cache=True)
 def _on_raster(hit, rows, columns, per_mm):
-    """Whether a sample's source point lies on the source; its column and row between the centres of the pixels."""
+    """Whether a sample's source point lies on the source, and the pixels around it, see ``clamped_cell``."""
     x, y = hit[0] * per_mm, -hit[1] * per_mm
     inside = not (abs(x) > 0.5 * columns or abs(y) > 0.5 * rows)
-    # a thousandth short of the last pixel's centre, so that there is always a next pixel to weigh with
-    x = min(max(x + 0.5 * columns - 0.5, 0.0), columns - 1.001)
-    y = min(max(y + 0.5 * rows - 0.5, 0.0), rows - 1.001)
-    return inside, x, y
+    ix, iy, fx, fy = clamped_cell(x + 0.5 * columns - 0.5, y + 0.5 * rows - 0.5, columns, rows)
+    return inside, ix, iy, fx, fy
 
 
 @njit(cache=True, parallel=True)
@@ -42,15 +42,11 @@ def average_samples(hits, source, per_mm):
                 weight = hits[i, j, k, 2] / samples
                 if weight == 0.0:
                     continue
-                inside, x, y = _on_raster(hits[i, j, k], rows, columns, per_mm)
+                inside, ix, iy, fx, fy = _on_raster(hits[i, j, k], rows, columns, per_mm)
                 if not inside:
                     continue
-                ix, iy = int(x), int(y)
-                fx, fy = x - ix, y - iy
                 for ch in range(channels):
-                    top = source[iy, ix, ch] * (1 - fx) + source[iy, ix + 1, ch] * fx
-                    low = source[iy + 1, ix, ch] * (1 - fx) + source[iy + 1, ix + 1, ch] * fx
-                    out[i, j, ch] += weight * (top * (1 - fy) + low * fy)
+                    out[i, j, ch] += weight * weighted_look_up(source, iy, ix, ch, fx, fy)
     return out
 
 
@@ -77,11 +73,9 @@ def gather_shares(hits, shape, per_mm, pointers, index, share):
             count = 0
             for k in range(samples):
                 weight = hits[i, j, k, 2] / samples
-                inside, x, y = _on_raster(hits[i, j, k], rows, columns, per_mm)
+                inside, ix, iy, fx, fy = _on_raster(hits[i, j, k], rows, columns, per_mm)
                 if weight == 0.0 or not inside:
                     continue
-                ix, iy = int(x), int(y)
-                fx, fy = x - ix, y - iy
                 for corner in range(4):
                     right, below = corner & 1, corner >> 1
                     part = weight * (fx if right else 1.0 - fx) * (fy if below else 1.0 - fy)
