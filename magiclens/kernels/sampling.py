@@ -33,14 +33,27 @@ def clamped_cell(x, y, columns, rows):
 
 @njit(inline="always")
 def blend(upper, lower, fx, fy):
-    """Bilinear mean of four values, the upper two and the lower two, each from left to right."""
+    """Bilinear mean of four values.
+
+    Args:
+        upper: the upper two, from left to right.
+        lower: the lower two.
+        fx, fy: how far right and how far down the point lies, from 0 to 1.
+    """
     top, low = upper[0] + (upper[1] - upper[0]) * fx, lower[0] + (lower[1] - lower[0]) * fx
     return top + (low - top) * fy
 
 
 @njit(inline="always")
 def weighted_look_up(image, row, column, channel, fx, fy):
-    """Bilinear mean of an image (H, W, C), as weights of its pixels: the same that fill a sparse matrix."""
+    """Bilinear mean of an image, as a sum of weighted pixels, rounded like the weights of a sparse matrix.
+
+    Args:
+        image: (H, W, C).
+        row, column: of the upper left of four pixels.
+        channel: of the image.
+        fx, fy: how far right and how far down the point lies, from 0 to 1.
+    """
     top = image[row, column, channel] * (1 - fx) + image[row, column + 1, channel] * fx
     low = image[row + 1, column, channel] * (1 - fx) + image[row + 1, column + 1, channel] * fx
     return top * (1 - fy) + low * fy
@@ -48,7 +61,15 @@ def weighted_look_up(image, row, column, channel, fx, fy):
 
 @njit(cache=True, fastmath=True)
 def bilinear(image, x, y):
-    """Bilinear value of an image (H, W) and its derivatives per pixel at column x and row y, clamped to the image."""
+    """Bilinear value of an image between its pixels, and its derivatives.
+
+    Args:
+        image: (H, W) float32.
+        x, y: column and row; outside, the nearest point of the image counts.
+
+    Returns:
+        The value, and its derivatives per pixel along x and y.
+    """
     h, w = image.shape
     ix, iy, fx, fy = clamped_cell(x, y, w, h)
     fx, fy = np.float32(fx), np.float32(fy)

@@ -9,7 +9,17 @@ from numba import njit, prange
 # no fastmath: code that was just compiled would give other last bits than the same code from numba's cache
 @njit(cache=True, parallel=True)
 def times(pointers, columns, values, x):
-    """(rows, C) float32: a compressed-row matrix (pointers, columns, values) times x (columns, C) float32."""
+    """A sparse matrix in compressed rows times pictures: ``out[r] = sum over k of values[k] * x[columns[k]]``.
+
+    Args:
+        pointers: (rows + 1,) where each row's entries start.
+        columns: (entries,) column of each entry.
+        values: (entries,) float32.
+        x: (columns, C) float32.
+
+    Returns:
+        (rows, C) float32.
+    """
     rows, channels = len(pointers) - 1, x.shape[1]
     out = np.zeros((rows, channels), np.float32)
     for r in prange(rows):

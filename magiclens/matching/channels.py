@@ -19,7 +19,10 @@ from magiclens.images import resize, to_display
 class Channels:
     """All views of a scene, turned into the lens frame and stacked.
 
-    source: (C, H, W) float32, linear light. target: (C, R, R) float32, linear light. C = views x colours.
+    Args:
+        source: (C, H, W) float32, linear light; C = views x colours.
+        target: (C, R, R) float32, linear light.
+        source_size_mm: side of the source.
     """
 
     source: FloatArray
@@ -28,11 +31,19 @@ class Channels:
 
     @property
     def source_px_mm(self) -> float:
-        """Size of a source pixel."""
+        """Side of a source pixel, mm."""
         return self.source_size_mm / int(self.source.shape[2])
 
     def tiles(self, facets: int, pixels: int) -> FloatArray:
-        """(N, N, C, P, P) float32: each facet's tile of the targets, display values."""
+        """Cut the targets into the facets' tiles.
+
+        Args:
+            facets: N, along the lens's side.
+            pixels: P, along a tile's side.
+
+        Returns:
+            (N, N, C, P, P) float32 display values.
+        """
         n = facets * pixels
         small = np.stack([resize(c[..., None], (n, n))[..., 0] for c in self.target])
         return to_display(small).reshape(-1, facets, pixels, facets, pixels).transpose(1, 3, 0, 2, 4).astype(np.float32)
@@ -41,7 +52,8 @@ class Channels:
 def stack_channels(scene: Scene) -> Channels:
     """Stack the views of a scene whose eyes coincide in the lens frame.
 
-    Raises InputError when they do not: offsets then differ between views and need a multi-view matcher.
+    Raises:
+        InputError: they do not; offsets then differ between views and need a multi-view matcher.
     """
     views = [v.in_lens_frame() for v in scene.views]
     if any(not np.allclose(v.eye_mm, views[0].eye_mm) for v in views):
@@ -54,4 +66,5 @@ def stack_channels(scene: Scene) -> Channels:
 
 
 def _planes(image: FloatArray) -> FloatArray:
+    """(C, H, W) float32 of an image (H, W, C)."""
     return np.ascontiguousarray(np.moveaxis(image, -1, 0), np.float32)

@@ -130,7 +130,13 @@ class Reach:
 
     @classmethod
     def of(cls, options: DartThrowing, scene: Scene, lattice: SubRegions) -> Reach:
-        """What is within the option's reach, below slope limit and relief, inside the source and not reserved."""
+        """What is within reach, below slope limit and relief, inside the source and not reserved.
+
+        Args:
+            options: the reach, and how sub-regions are shown.
+            scene: the lens and what is reserved.
+            lattice: of the sub-regions.
+        """
         from magiclens.matching.dart_throwing_kernels import regions_reachable
         from magiclens.optics.medium import image_optics_of
 

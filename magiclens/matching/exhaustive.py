@@ -24,7 +24,11 @@ class Exhaustive(LatticeOptions, Matcher):
     version: ClassVar[str] = "2"
 
     def match(self, scene: Scene, rng: np.random.Generator, progress: Progress = silent) -> Candidates:
-        """Search, polish, sort. Raises InputError when some facet reaches no patch at all."""
+        """Search, polish, sort.
+
+        Raises:
+            InputError: some facet reaches no patch at all, or views do not share an eye.
+        """
         return self.match_rows(scene, 0, scene.lens.facets, progress)
 
     def match_rows(self, scene: Scene, first: int, last: int, progress: Progress = silent) -> Candidates:
@@ -97,5 +101,14 @@ def search_all(
 
 
 def resolved_scales(scales: tuple[float, ...], px: float, source_px: float) -> tuple[float, ...]:
-    """The scales without those so small that a tile pixel sees less than half a source pixel: these are raised."""
+    """Raise scales at which a tile pixel would see less than half a source pixel.
+
+    Args:
+        scales: magnitudes of the map.
+        px: side of a tile's pixel, mm.
+        source_px: side of a source pixel, mm.
+
+    Returns:
+        The scales that are left, from small to large.
+    """
     return tuple(sorted({max(scale, 0.5 * source_px / px) for scale in scales}))

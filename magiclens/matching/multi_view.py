@@ -37,7 +37,11 @@ class MultiViewMatcher(LatticeOptions, Matcher):
     step: LengthOrPercent = Field(relative("0.2mm"), description="distance between neighbouring offsets")
 
     def match(self, scene: Scene, rng: np.random.Generator, progress: Progress = silent) -> Candidates:
-        """Search, polish, evaluate. Raises InputError when some facet reaches no patch in every view."""
+        """Search, polish, evaluate.
+
+        Raises:
+            InputError: some facet reaches no patch in every view.
+        """
         return self.match_at(scene, np.zeros((scene.lens.facets,) * 2), progress)
 
     def match_at(self, scene: Scene, heights_mm: FloatArray, progress: Progress = silent) -> Candidates:
@@ -131,7 +135,13 @@ class _Pictures:
     targets: FloatArray
 
     def seen(self, side: int, per_mm: float, size_mm: float) -> Views:
-        """The views with targets of so many pixels along a side, for kernels."""
+        """The views as kernels take them.
+
+        Args:
+            side: pixels along the targets' side.
+            per_mm: source pixels per mm.
+            size_mm: side of the lens.
+        """
         from magiclens.matching.multi_view_kernels import Views
 
         small = [np.moveaxis(resize(np.moveaxis(t, 0, -1), (side, side)), -1, 0) for t in self.targets]

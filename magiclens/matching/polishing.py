@@ -98,7 +98,16 @@ def blur_levels(source: FloatArray, source_px_mm: float, grain_mm: float, widths
 
 
 def box_blur(image: FloatArray, rows: float, columns: float) -> FloatArray:
-    """Average of (C, H, W) over centred boxes of so many pixels, which need not be whole numbers."""
+    """Average an image over centred boxes.
+
+    Args:
+        image: (C, H, W).
+        rows: height of the box, pixels, which need not be a whole number.
+        columns: width of the box, likewise.
+
+    Returns:
+        (C, H, W).
+    """
     from scipy.ndimage import convolve1d
 
     out = image
@@ -112,4 +121,5 @@ def box_blur(image: FloatArray, rows: float, columns: float) -> FloatArray:
 
 
 def _channels_last(images: FloatArray) -> FloatArray:
+    """(..., H, W, C) of images (..., C, H, W)."""
     return np.ascontiguousarray(np.moveaxis(images, -3, -1))

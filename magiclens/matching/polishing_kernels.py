@@ -180,6 +180,7 @@ def polish(tiles, levels, per_mm, window, rule, optics, found):
 
 @njit(cache=True)
 def _drop_unreachable(f, centres, half, optics, found):
+    """Drop the candidates that facet f cannot show, see ``drop_unreachable``."""
     centre = (centres[f, 0], centres[f, 1])
     for k in range(found.errors.shape[1]):
         offset, m = (found.offsets[f, k, 0], found.offsets[f, k, 1]), found.maps[f, k]
@@ -189,6 +190,13 @@ def _drop_unreachable(f, centres, half, optics, found):
 
 @njit(cache=True, parallel=True)
 def drop_unreachable(centres, half, optics, found):
-    """Set the errors of candidates to infinity, in place, that facets at centres (F, 2), mm, cannot show."""
+    """Set the errors of candidates to infinity, in place, that facets cannot show.
+
+    Args:
+        centres: (F, 2) of the facets, mm.
+        half: half the pitch, mm.
+        optics: ``Optics`` in the image frame.
+        found: the candidates.
+    """
     for f in prange(len(centres)):
         _drop_unreachable(f, centres, half, optics, found)

@@ -11,7 +11,16 @@ BLOCK_PIXELS = 4
 
 @njit(cache=True, parallel=True, fastmath=True)
 def average_columns(source, first, weights):
-    """(C, H, W) -> (C, H, count) float32: footprint averages along x, linear light; see ``footprints``."""
+    """Average a source over footprints along x: ``out[x] = sum over t of weights[x, t] * source[first[x] + t]``.
+
+    Args:
+        source: (C, H, W) float32, linear light.
+        first: (count,) first pixel of each footprint, see ``rasters.footprints``.
+        weights: (count, taps) float32.
+
+    Returns:
+        (C, H, count) float32, linear light.
+    """
     channels, rows, _ = source.shape
     count, taps = weights.shape
     out = np.zeros((channels, rows, count), np.float32)
@@ -28,7 +37,17 @@ def average_columns(source, first, weights):
 
 @njit(cache=True, parallel=True, fastmath=True)
 def display_rows(columns, first, weights, table):
-    """(C, H, X) -> (C, count, X) float32: footprint averages along y, looked up in a table of display values."""
+    """Average columns over footprints along y, and turn light into display values.
+
+    Args:
+        columns: (C, H, X) float32, linear light.
+        first: (count,) first row of each footprint, see ``rasters.footprints``.
+        weights: (count, taps) float32.
+        table: display values of evenly spaced linear light from 0 to 1.
+
+    Returns:
+        (C, count, X) float32 display values.
+    """
     channels, rows, width = columns.shape
     count, taps = weights.shape
     out = np.zeros((channels, count, width), np.float32)
@@ -47,7 +66,15 @@ def display_rows(columns, first, weights, table):
 
 @njit(cache=True, parallel=True, fastmath=True)
 def block_means(plain, skip_y, skip_x):
-    """(C, Y, X) float32: means of the tile pixels of a block from each sample on, ``skip`` samples apart."""
+    """Means of BLOCK_PIXELS x BLOCK_PIXELS samples from each sample on.
+
+    Args:
+        plain: (C, Y, X) float32.
+        skip_y, skip_x: samples from one of the averaged samples to the next.
+
+    Returns:
+        (C, Y, X) float32; 0 where a block would leave the raster.
+    """
     channels, rows, width = plain.shape
     out = np.zeros_like(plain)
     span_y, span_x = (BLOCK_PIXELS - 1) * skip_y, (BLOCK_PIXELS - 1) * skip_x

@@ -66,7 +66,14 @@ class Raster(NamedTuple):
 
 
 def raster_axis(scale: float, px_mm: float, step_mm: float, size_mm: float) -> RasterAxis:
-    """The raster axis for tile pixels of ``px_mm`` seen at ``scale``, offsets every ``step_mm`` or finer."""
+    """The raster axis on which tile pixels and offsets are whole numbers of samples apart.
+
+    Args:
+        scale: magnitude of the map along the axis.
+        px_mm: side of a tile's pixel.
+        step_mm: distance between offsets, at most.
+        size_mm: side of the source.
+    """
     seen = scale * px_mm
     skip = max(1, round(seen / step_mm))
     spacing = seen / skip

@@ -34,6 +34,14 @@ def reachable(centre, offset, m, half, optics):
 
 @njit(cache=True)
 def distance_term(rx, ry, window):
-    """lambda M_s of 4.2 per pixel of a tile, in display units: 1 / (m^2 - R^2) - 1 / m^2, R in search steps."""
+    """The distance term of 4.2, lambda M_s per pixel of a tile: ``1 / (m^2 - R^2) - 1 / m^2``, R in search steps.
+
+    Args:
+        rx, ry: the offset, mm.
+        window: the search window; m is its side in steps.
+
+    Returns:
+        The term in squared display values from 0 to 1.
+    """
     m2 = (2.0 * window.half / window.step) ** 2
     return 1.0 / (m2 - (rx * rx + ry * ry) / (window.step * window.step)) - 1.0 / m2

@@ -64,7 +64,14 @@ def unknown_first_order(rows):
 
 @njit(cache=True)
 def surface_point(cut, u, v, height, depth):
-    """x, y, z of the point of the top at ``height`` over (u, v) of the reference plane (see ``HeightField``), mm."""
+    """x, y, z of a point of the top, mm: ``eye + exp(-h / D) (q - eye)``, D being the eye's distance from the plane.
+
+    Args:
+        cut: how the top is cut; with vertical cells the point is at (u, v, depth + h).
+        u, v: the point q of the reference plane that it is named by, mm.
+        height: h, see ``HeightField``, mm.
+        depth: from the reference plane to the flat bottom, mm.
+    """
     if cut.vertical:
         return u, v, depth + height
     eye = cut.eye
@@ -75,7 +82,14 @@ def surface_point(cut, u, v, height, depth):
 
 @njit(cache=True)
 def height_gradient(cut, u, v, normal, depth):
-    """dh/du and dh/dv over the reference plane of a surface with this unit normal (see ``HeightField``)."""
+    """dh/du and dh/dv of the top's heights: ``N_uv / (N . d)``, d being the eye ray, 1 long along -z.
+
+    Args:
+        cut: how the top is cut.
+        u, v: the point of the reference plane, mm.
+        normal: the unit normal there.
+        depth: from the reference plane to the flat bottom, mm.
+    """
     nx, ny, nz = normal
     lean = 0.0 if cut.vertical else (nx * (u - cut.eye[0]) + ny * (v - cut.eye[1])) / (cut.eye[2] - depth)
     return nx / (lean - nz), ny / (lean - nz)
@@ -83,7 +97,13 @@ def height_gradient(cut, u, v, normal, depth):
 
 @njit(cache=True)
 def project(eye, point, depth):
-    """x, y where an eye sees a point of the top on the reference plane, mm."""
+    """x, y of the point of the reference plane at which an eye sees a point of the top, mm.
+
+    Args:
+        eye: x, y, z, mm.
+        point: x, y, z, mm.
+        depth: from the reference plane to the flat bottom, mm.
+    """
     x, y, z = point
     t = (eye[2] - depth) / (eye[2] - z)
     return eye[0] + (x - eye[0]) * t, eye[1] + (y - eye[1]) * t
@@ -95,6 +115,12 @@ def land(eye, point, normal, slab):
 
     ``landing = point + t_xy (gap ior / cos_out - z / t_z)`` with the unit direction t inside the slab and the angle of
     the ray in the gap, ``cos_out^2 = 1 - ior^2 (1 - t_z^2)``.
+
+    Args:
+        eye: x, y, z, mm.
+        point: x, y, z of the point of the top, mm.
+        normal: the unit normal there.
+        slab: the glass.
 
     Returns:
         x, y of the landing point, mm, and whether the ray arrives.
@@ -178,14 +204,27 @@ def linearise(eye, facet, offset, reference_eye, slab, whole, out, row):
 
 @njit(cache=True)
 def shift(seen, row, step):
-    """Move the wanted source point of a row of a ``FirstOrder`` by a small step along x, mm; derivatives stay."""
+    """Move the wanted source point by a small step along x: ``landing += by_source x``; derivatives stay.
+
+    Args:
+        seen: a ``FirstOrder``, changed in place.
+        row: of it.
+        step: mm.
+    """
     seen.landing[row, 0] += seen.by_source[row, 0, 0] * step
     seen.landing[row, 1] += seen.by_source[row, 1, 0] * step
 
 
 @njit(cache=True)
 def local_map(seen, row, m, out):
-    """out (4,) = by_facet + by_source M, row-major, of a row of a ``FirstOrder``; M symmetric: m = (xx, xy, yy)."""
+    """The map of the patch that an eye sees through a lenslet: ``by_facet + by_source M``.
+
+    Args:
+        seen: a ``FirstOrder``.
+        row: of it.
+        m: the map M that the lenslet has for the reference eye, (xx, xy, yy).
+        out: (4,) to fill, row-major.
+    """
     for axis in range(2):
         a, b = seen.by_source[row, axis, 0], seen.by_source[row, axis, 1]
         out[2 * axis] = seen.by_facet[row, axis, 0] + a * m[0] + b * m[1]

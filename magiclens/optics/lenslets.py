@@ -26,6 +26,9 @@ def _slopes_at(centre, p, offset, m, cut, slab, out):
 def _lost(x, y, along_x, outward, normal, cut, eyes, slab):
     """Width of the strip that a wall takes from the eyes' pictures, mm per mm of step, on average over the eyes.
 
+    ``max(outward (t_a / -t_z - lean), 0) + max(-outward (d_a / -d_z - lean), 0)`` for an eye's ray d, which is t in the
+    slab, along the axis a across the wall; ``lean`` is that of the wall.
+
     The wall at (x, y) faces along x or y, ``outward`` = +-1, and the facet with this normal is the higher one. Rays in
     the slab that drift outward meet the wall from within; an eye that looks inward past the wall sees it from without.
     """
@@ -132,7 +135,14 @@ def shape_drifts(shapes, centres, cell, cut, eyes, slab):
 
 @njit(cache=True, parallel=True)
 def centre_slopes(centres, offsets, eye, slab):
-    """(F, K, 2) dz/dx and dz/dy at the facets' centres that show an eye the patches at ``offsets`` (F, K, 2) mm."""
+    """(F, K, 2) slopes dz/dx and dz/dy at the facets' centres that show patches to an eye.
+
+    Args:
+        centres: (F, 2) mm.
+        offsets: (F, K, 2) of the patches, mm.
+        eye: (3,) mm.
+        slab: the glass.
+    """
     out = np.zeros(offsets.shape)
     for f in prange(len(offsets)):
         x, y = centres[f, 0], centres[f, 1]

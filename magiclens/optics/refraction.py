@@ -15,8 +15,10 @@ from numba import njit
 def refract(dx: float, dy: float, dz: float, nx: float, ny: float, nz: float, eta: float):
     """Direction after a surface, by Snell's law; (0, 0, 0) on total internal reflection.
 
-    (dx, dy, dz): unit direction of travel. (nx, ny, nz): unit normal on the side the ray comes from.
-    eta: index behind the surface over index in front of it.
+    Args:
+        dx, dy, dz: unit direction of travel.
+        nx, ny, nz: unit normal on the side that the ray comes from.
+        eta: index behind the surface over index in front of it.
     """
     cos_i = -(dx * nx + dy * ny + dz * nz)
     k = 1.0 - (1.0 - cos_i * cos_i) / (eta * eta)
@@ -30,7 +32,9 @@ def refract(dx: float, dy: float, dz: float, nx: float, ny: float, nz: float, et
 def transmittance(cos_i: float, eta: float) -> float:
     """Fresnel transmittance of unpolarised light, 0 on total internal reflection.
 
-    cos_i: cosine of the angle of incidence, > 0. eta: index behind the surface over index in front of it.
+    Args:
+        cos_i: cosine of the angle of incidence, > 0.
+        eta: index behind the surface over index in front of it.
     """
     k = 1.0 - (1.0 - cos_i * cos_i) / (eta * eta)
     if k <= 0.0:
@@ -45,9 +49,14 @@ def transmittance(cos_i: float, eta: float) -> float:
 def sine_in_slab(distance: float, depth: float, gap: float, ior: float) -> float:
     """Sine of the angle inside the slab of the ray that ends ``distance`` sideways of where it starts.
 
-    The ray runs ``depth`` through the slab, leaves its flat bottom and crosses an air gap (all mm). Newton's
-    method on s: ``depth * s / sqrt(1 - s^2) + gap * n s / sqrt(1 - n^2 s^2) = distance``; the left side is convex and
-    increasing, so Newton's method descends monotonically from the first iterate on.
+    Newton's method on s: ``depth * s / sqrt(1 - s^2) + gap * n s / sqrt(1 - n^2 s^2) = distance``; the left side is
+    convex and increasing, so Newton's method descends monotonically from the first iterate on.
+
+    Args:
+        distance: sideways, mm.
+        depth: how far down the ray runs through the slab, mm.
+        gap: air below the flat bottom, mm.
+        ior: n, the index of refraction of the slab.
     """
     if gap <= 0.0:
         return distance / math.sqrt(distance * distance + depth * depth)

@@ -1,6 +1,6 @@
 """Light that is lost at the walls between facets of different height, and the heights that lose least.
 
-Walls lie along eye rays, so none is seen from outside. Inside the slab a ray drifts sideways; where it drifts toward a
+With cells along eye rays, no wall is seen from outside. Inside the slab a ray drifts sideways; where it drifts toward a
 neighbour whose edge is lower, it meets the wall above that edge and is lost for the picture. An edge of step s and
 outward drift t (mm sideways per mm down) thus darkens a strip of width ``t * s`` on the higher side. Where the
 neighbour is higher, the ray passes on through the solid and nothing is lost: the loss is one-sided. It may pass on as
@@ -185,6 +185,7 @@ def heat_bath_sweep(choice, heights, errors, edges, terms, relief, temperature, 
 
 @njit(cache=True)
 def _draw(energy, best, temperature, die):
+    """A candidate by the heat bath, ``P(k) ~ exp((best - energy[k]) / temperature)``; die in [0, 1)."""
     if temperature <= 0.0:
         return np.argmin(energy)
     total = 0.0
