@@ -13,11 +13,22 @@ from playwright.sync_api import Browser
 from browsers import chromium
 from lenses import Lenses
 from magiclens.cli.doctor import examine
+from magiclens.kernels.cache_folder import cache_folder
 from magiclens.plan.registry import Registry
+from magiclens.running.compilation import compile_all_kernels
 from toys import SPEC, TOYS, SpecWriter, registry_of
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 """Tests run side by side: kernels whose threads wait busily for each other would take the others' cores."""
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Compile all kernels in two processes, or each worker would compile them; not for tests that are named."""
+    config, done = session.config, cache_folder() / "all"
+    named = config.invocation_params.args and any(Path(word).exists() for word in config.invocation_params.args)
+    if not named and config.getoption("numprocesses", None) and not done.exists():
+        compile_all_kernels()
+        done.touch()
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -24,7 +24,7 @@ FEW = (
 )
 HEART, HEART_AND_STAR = "scenario.target={art: heart}", "scenario.targets=[{art: heart}, {art: star}]"
 MITSUBA_TOO = (
-    "pipeline.renderers=[{type: tracer, resolution: 128, samples: 2}, {type: mitsuba, resolution: 128, samples: 128}]"
+    "pipeline.renderers=[{type: tracer, resolution: 128, samples: 2}, {type: mitsuba, resolution: 128, samples: 256}]"
 )
 SMALL: dict[str, tuple[str, ...]] = {
     "single": (HEART,),

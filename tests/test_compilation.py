@@ -93,6 +93,6 @@ def test_no_part_fails_on_the_small_lens(part: str, spec: Path) -> None:
 
 
 def test_the_child_names_the_parts_that_are_done(spec: Path) -> None:
-    command = [sys.executable, "-m", "magiclens.running.compilation", str(spec), "inspect,match"]
+    command = [sys.executable, "-m", "magiclens.running.compilation", "inspect,match", str(spec)]
     done = subprocess.run(command, capture_output=True, text=True, check=True, env=os.environ.copy())
     assert done.stdout.split() == ["inspect", "match"]

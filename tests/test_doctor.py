@@ -30,7 +30,7 @@ def test_everything_that_is_needed_is_here(found: dict[str, Diagnosis]) -> None:
     assert not unfit(found.values())
     assert found["numpy"] == Diagnosis("numpy", "ok", version("numpy"), True)
     assert found["font"].status == found["FFmpeg (av)"].status == "ok"
-    assert {"python", "magiclens", "plugins", "numba cache", "PrusaSlicer", "Chromium"} <= set(found)
+    assert {"python", "magiclens", "plugins", "compiled kernels", "PrusaSlicer", "Chromium"} <= set(found)
 
 
 def test_every_requirement_is_looked_for_and_no_extra(found: dict[str, Diagnosis]) -> None:
@@ -97,7 +97,7 @@ def test_a_cache_that_cannot_be_written_is_reported(
 ) -> None:
     (tmp_path / "file").touch()
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file" / "cache"))
-    cache = next(diagnosis for diagnosis in examine(registry) if diagnosis.name == "numba cache")
+    cache = next(diagnosis for diagnosis in examine(registry) if diagnosis.name == "compiled kernels")
     assert cache.status == "broken"
     assert "NUMBA_CACHE_DIR" in cache.help
 

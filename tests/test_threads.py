@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numba import config, njit
+from numba import njit
 
 from magiclens.kernels.threads import LoopPart, in_threads
 
@@ -18,7 +18,7 @@ def count_up(part, step, out):  # type: ignore[no-untyped-def]
 @pytest.mark.parametrize("threads", [1, 2, 5])
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 17, 1000])
 def test_every_index_is_done_once(threads: int, count: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(config, "NUMBA_NUM_THREADS", threads)
+    monkeypatch.setattr("numba.get_num_threads", lambda: threads)
     out = np.zeros(count)
     in_threads(count_up, count, 2.0, out)
     np.testing.assert_array_equal(out, 2.0 * np.arange(1, count + 1))

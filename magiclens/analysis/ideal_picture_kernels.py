@@ -6,8 +6,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from magiclens.kernels.compiler import njit
 from magiclens.kernels.sampling import clamped_cell, rotated_grid, weighted_look_up
 
 

@@ -106,9 +106,7 @@ def _fail(message: str, code: int, traceback: bool) -> NoReturn:
     raise typer.Exit(code)
 
 
-def print_result(
-    text: Callable[[], Any], data: Callable[[], Any], quiet: bool = False, as_json: bool = False
-) -> None:
+def print_result(text: Callable[[], Any], data: Callable[[], Any], quiet: bool = False, as_json: bool = False) -> None:
     """Print a result as text, as JSON, or not at all.
 
     Args:

@@ -87,7 +87,7 @@ def examine(registry: Registry) -> list[Diagnosis]:
         _python(),
         *_packages(),
         _plugins(registry),
-        _numba_cache(),
+        _kernel_cache(),
         _llvm(),
         _movies(),
         _font(),
@@ -96,7 +96,7 @@ def examine(registry: Registry) -> list[Diagnosis]:
 
 
 def compiled_kernels(compile_all: Callable[[], None]) -> Diagnosis:
-    """Compile all kernels and tell how long that took; numba keeps them in its cache."""
+    """Compile all kernels, which numba keeps, and tell how long that took."""
     from time import perf_counter
 
     began = perf_counter()
@@ -165,21 +165,15 @@ def _plugins(registry: Registry) -> Diagnosis:
     return Diagnosis("plugins", "ok", ", ".join(packages))
 
 
-def _numba_cache() -> Diagnosis:
-    """Compiled code is kept beside the sources, or where NUMBA_CACHE_DIR says; else it is compiled for every run."""
-    from importlib.util import find_spec
+def _kernel_cache() -> Diagnosis:
+    """Whether compiled kernels can be kept; else they are compiled for every run."""
+    from magiclens.kernels.cache_folder import VARIABLE, caches_folder
 
-    chosen = os.environ.get("NUMBA_CACHE_DIR")
-    spec = find_spec("magiclens")
-    folders = [Path(chosen)] if chosen else [Path(spec.origin).parent] if spec and spec.origin else []
-    # numba looks for a folder in this order, too
-    if not chosen:
-        folders.append(Path.home() / ".cache")
-    writable = next((folder for folder in folders if _writable(folder)), None)
-    advice = "every run compiles for a minute: set NUMBA_CACHE_DIR to a folder that can be written"
-    if writable is None:
-        return Diagnosis("numba cache", "broken", f"cannot write in {', '.join(map(str, folders))}", False, advice)
-    return Diagnosis("numba cache", "ok", str(writable))
+    folder, name = caches_folder(), "compiled kernels"
+    if _writable(folder):
+        return Diagnosis(name, "ok", str(folder))
+    advice = f"every run compiles for a minute: set {VARIABLE} to a folder that can be written"
+    return Diagnosis(name, "broken", f"cannot write in {folder}", False, advice)
 
 
 def _writable(folder: Path) -> bool:

@@ -65,9 +65,9 @@ def sweep_command(
 def gallery_command(
     context: typer.Context,
     executor_settings: ExecutorSettings,
-    listed: Annotated[
-        Path, typer.Argument(metavar="[LIST]", help="The gallery's list, a YAML file.")
-    ] = Path("gallery", "gallery.yaml"),
+    listed: Annotated[Path, typer.Argument(metavar="[LIST]", help="The gallery's list, a YAML file.")] = Path(
+        "gallery", "gallery.yaml"
+    ),
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="The site's folder.")] = Path("out", "gallery"),
     small: Annotated[bool, typer.Option("--quick", help="Smaller lenses, as the list says.")] = False,
     executor: ExecutorName = "processes",

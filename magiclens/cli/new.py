@@ -20,9 +20,7 @@ def _scenarios(incomplete: str) -> list[str]:
 def new_command(
     scenario: Annotated[
         str,
-        typer.Argument(
-            metavar="SCENARIO", help="single, rotating, ...", show_default=False, autocompletion=_scenarios
-        ),
+        typer.Argument(metavar="SCENARIO", help="single, rotating, ...", show_default=False, autocompletion=_scenarios),
     ],
     pictures: Annotated[
         list[Path], typer.Argument(metavar="PICTURES", help="What the lens shall show.", show_default=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from numba import njit
+from magiclens.kernels.compiler import njit
 
 _MINUS, _POINT, _ZERO = 45, 46, 48
 """ASCII codes."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from magiclens.contract.artifacts import FloatArray, IntArray
 from magiclens.geometry.columns_kernels import first_at, span
+from magiclens.kernels.compiler import njit
 
 
 class RowedMesh(NamedTuple):

@@ -8,7 +8,8 @@ last bit: between them no line is missed, and none is counted twice.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from magiclens.kernels.compiler import njit
 
 
 @njit(cache=True)

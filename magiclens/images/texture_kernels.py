@@ -8,9 +8,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from magiclens.contract.artifacts import FloatArray
+from magiclens.kernels.compiler import njit
 
 REACH = 3
 """Pixels to each side in which the surroundings of two pixels are compared."""

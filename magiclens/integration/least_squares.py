@@ -81,7 +81,11 @@ def solve_weighted(right: FloatArray, weights: FloatArray, screening: float, sta
 
     shape = (g * g, g * g)
     solution, failed = cg(
-        LinearOperator(shape, apply), right.ravel(), start.ravel(), rtol=1e-7, maxiter=400,
+        LinearOperator(shape, apply),
+        right.ravel(),
+        start.ravel(),
+        rtol=1e-7,
+        maxiter=400,
         M=LinearOperator(shape, precondition),
     )
     if failed:

@@ -50,9 +50,7 @@ def levels_of_least_steps(shapes: FloatArray, screening: float, relief: float) -
         screening = max(1.3 * screening, 1e-6)  # a screening of 0 would never grow
 
 
-def levels_of_least_lost_light(
-    scene: Scene, shapes: FloatArray, levels: FloatArray, step_weight: float
-) -> FloatArray:
+def levels_of_least_lost_light(scene: Scene, shapes: FloatArray, levels: FloatArray, step_weight: float) -> FloatArray:
     """Levels at which walls take the least light, by coordinate descent on a convex energy (see ``optics.walls``).
 
     Args:

@@ -5,35 +5,23 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
 
+from magiclens.contract.artifacts import FloatArray, IntArray
+from magiclens.kernels.compiler import njit
+from magiclens.kernels.threads import in_threads
 from magiclens.optics.eyes import height_gradient, project, surface_point
+from magiclens.optics.medium import Optics
 from magiclens.optics.refraction import facet_normal
 
 
-@njit(cache=True, parallel=True)
-def rises_along_edges(heights, centres, offsets, maps, side, optics):
-    """``rise = slope at the edge's middle * its length``, along all mesh edges of all facets.
-
-    Args:
-        heights: (F, k, k) where the surface is now, mm.
-        centres: (F, 2) mm.
-        offsets: (F, 2) of the facets' patches, mm.
-        maps: (F, 3) of the facets' patches, as (xx, xy, yy).
-        side: from a facet's first vertex to its last, mm.
-        optics: an ``optics.medium.Optics``.
-
-    Returns:
-        (F, k, k - 1) rises along rows, from column b to b + 1, mm; (F, k - 1, k) along columns, from row a, which is
-        further up, to a + 1, mm; (F,) how many edges were held at the slope limit.
-    """
-    facets, k = heights.shape[0], heights.shape[1]
+@njit(cache=True, nogil=True)
+def _rises_part(part, heights, centres, patches, side, optics, rises):
+    """Part of the facets, see ``rises_along_edges``; patches: offsets and maps. rises: to fill."""
+    (offsets, maps), (along_u, along_v, clamped) = patches, rises
+    k = heights.shape[1]
     m = k - 1
-    along_u = np.zeros((facets, k, m))
-    along_v = np.zeros((facets, m, k))
-    clamped = np.zeros(facets, np.int64)
     d = side / m
-    for f in prange(facets):
+    for f in range(part.first, part.end):
         centre = centres[f]
         for a in range(k):
             for b in range(k):
@@ -48,7 +36,29 @@ def rises_along_edges(heights, centres, offsets, maps, side, optics):
                     _, g, bad = _slope(u, v - 0.5 * d, h, centre, offsets[f], maps[f], optics)
                     along_v[f, a, b] = -g * d
                     clamped[f] += bad
-    return along_u, along_v, clamped
+
+
+def rises_along_edges(
+    heights: FloatArray, centres: FloatArray, offsets: FloatArray, maps: FloatArray, side: float, optics: Optics
+) -> tuple[FloatArray, FloatArray, IntArray]:  # fmt: skip
+    """``rise = slope at the edge's middle * its length``, along all mesh edges of all facets.
+
+    Args:
+        heights: (F, k, k) where the surface is now, mm.
+        centres: (F, 2) mm.
+        offsets: (F, 2) of the facets' patches, mm.
+        maps: (F, 3) of the facets' patches, as (xx, xy, yy).
+        side: from a facet's first vertex to its last, mm.
+        optics: an ``optics.medium.Optics``.
+
+    Returns:
+        (F, k, k - 1) rises along rows, from column b to b + 1, mm; (F, k - 1, k) along columns, from row a, which is
+        further up, to a + 1, mm; (F,) how many edges were held at the slope limit.
+    """
+    facets, k, _ = heights.shape
+    rises = (np.zeros((facets, k, k - 1)), np.zeros((facets, k - 1, k)), np.zeros(facets, np.int64))
+    in_threads(_rises_part, facets, heights, centres, (offsets, maps), side, optics, rises)
+    return rises
 
 
 @njit(cache=True)

@@ -133,9 +133,7 @@ class _Facets:
         for first in range(0, len(self._imperfect), _AT_ONCE):
             part = self._imperfect[first : first + _AT_ONCE]
             heights, after = self.heights[part], np.zeros(len(part))
-            refine_facets(
-                heights, self._centres[part], samples, pictures, self._optics, self._metric, descent, after
-            )
+            refine_facets(heights, self._centres[part], samples, pictures, self._optics, self._metric, descent, after)
             self.heights[part], errors[part] = heights, after
             progress(min(1.0, (first + _AT_ONCE) / len(self._imperfect)))
         return errors

@@ -15,10 +15,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
 
 from magiclens.contract.artifacts import FloatArray, IntArray
+from magiclens.kernels.compiler import njit
+from magiclens.kernels.threads import in_threads
 from magiclens.optics.eyes import land, project, surface_point
+from magiclens.optics.medium import Optics
 
 _SLOPE_STEP = 1e-4
 """Step of the finite differences along a triangle's slopes."""
@@ -441,8 +443,54 @@ def _step(shown, samples, metric, damping, iterations, out):
     out *= free
 
 
-@njit(cache=True, parallel=True)
-def refine_facets(heights, centres, samples, pictures, optics, metric, descent, errors):
+@njit(cache=True, nogil=True)
+def _refine_part(part, shapes, samples, pictures, optics, metric, descent, errors):
+    """Part of the facets, see ``refine_facets``; shapes: heights and centres."""
+    heights, centres = shapes
+    k, pairs, channels = heights.shape[1], len(samples.pair_pixel), len(pictures.plane)
+    triangles, pixels = 2 * (k - 1) ** 2, samples.pixels**2
+    eyes = len(pictures.eyes_mm)
+    rays = Rays(np.zeros((eyes, triangles, 2)), np.zeros((eyes, triangles, 2, 2)), np.zeros((eyes, triangles, 2, 2)))
+    slopes, residuals = np.zeros((2, triangles, 2)), np.zeros((2, pixels, channels), np.float32)
+    gradients = np.zeros((2, pairs, 2, channels), np.float32)
+    predictions = (Shown(slopes[0], residuals[0], gradients[0]), Shown(slopes[1], residuals[1], gradients[1]))
+    step = np.zeros((k, k))
+    derive = np.bool_(True)  # not the literal, for which numba would compile the prediction apart
+    for f in range(part.first, part.end):
+        trial, now = heights[f].copy(), 0
+        error = predict_facet(trial, centres[f], samples, pictures, optics, derive, rays, predictions[0])
+        damping = _FIRST_DAMPING
+        for _ in range(descent.rounds):
+            if not 0.0 < error < np.inf:
+                break
+            _step(predictions[now], samples, metric, damping, descent.iterations, step)
+            for n in range(k * k):  # element by element, see ``polishing_kernels.read_candidate``
+                trial[n // k, n % k] = heights[f, n // k, n % k] + step[n // k, n % k]
+            less = predict_facet(trial, centres[f], samples, pictures, optics, not derive, rays, predictions[1 - now])
+            if less < error:
+                for n in range(k * k):
+                    heights[f, n // k, n % k] = trial[n // k, n % k]
+                gain, error, now, damping = error - less, less, 1 - now, max(damping / 3, _LEAST_DAMPING)
+                # the step taken is kept all the same
+                if gain < descent.enough * error:
+                    break
+            else:
+                damping *= 5
+                if damping > _MOST_DAMPING:
+                    break
+        errors[f] = error
+
+
+def refine_facets(
+    heights: FloatArray,
+    centres: FloatArray,
+    samples: Samples,
+    pictures: Pictures,
+    optics: Optics,
+    metric: Metric,
+    descent: Descent,
+    errors: FloatArray,
+) -> None:
     """Lower the facets' mean squared residuals, in place, by damped Gauss-Newton steps (Levenberg-Marquardt).
 
     A step that lowers a facet's error is taken, and the damping falls to a third; else the damping grows fivefold.
@@ -457,33 +505,4 @@ def refine_facets(heights, centres, samples, pictures, optics, metric, descent, 
         descent: when steps end.
         errors: (F,) to fill with the mean squared residuals after the last step.
     """
-    k, pairs, channels = heights.shape[1], len(samples.pair_pixel), len(pictures.plane)
-    triangles, pixels = 2 * (k - 1) ** 2, samples.pixels**2
-    for f in prange(len(heights)):
-        eyes = len(pictures.eyes_mm)
-        rays = Rays(
-            np.zeros((eyes, triangles, 2)), np.zeros((eyes, triangles, 2, 2)), np.zeros((eyes, triangles, 2, 2))
-        )
-        slopes, residuals = np.zeros((2, triangles, 2)), np.zeros((2, pixels, channels), np.float32)
-        gradients = np.zeros((2, pairs, 2, channels), np.float32)
-        predictions = [Shown(slopes[n], residuals[n], gradients[n]) for n in range(2)]
-        step, trial, now = np.zeros((k, k)), heights[f].copy(), 0
-        error = predict_facet(trial, centres[f], samples, pictures, optics, True, rays, predictions[0])
-        damping = _FIRST_DAMPING
-        for _ in range(descent.rounds):
-            if not 0.0 < error < np.inf:
-                break
-            _step(predictions[now], samples, metric, damping, descent.iterations, step)
-            trial[:] = heights[f] + step
-            less = predict_facet(trial, centres[f], samples, pictures, optics, False, rays, predictions[1 - now])
-            if less < error:
-                heights[f] = trial
-                gain, error, now, damping = error - less, less, 1 - now, max(damping / 3, _LEAST_DAMPING)
-                # the step taken is kept all the same
-                if gain < descent.enough * error:
-                    break
-            else:
-                damping *= 5
-                if damping > _MOST_DAMPING:
-                    break
-        errors[f] = error
+    in_threads(_refine_part, len(heights), (heights, centres), samples, pictures, optics, metric, descent, errors)

@@ -2,13 +2,26 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
-from numba import njit, prange
+from numpy.typing import NDArray
+
+from magiclens.kernels.compiler import njit
+from magiclens.kernels.threads import in_threads
 
 
 # no fastmath: code that was just compiled would give other last bits than the same code from numba's cache
-@njit(cache=True, parallel=True)
-def times(pointers, columns, values, x):
+@njit(cache=True, nogil=True)
+def _times_part(part, pointers, columns, values, x, out):
+    """Part of the rows, see ``times``."""
+    for r in range(part.first, part.end):
+        for k in range(pointers[r], pointers[r + 1]):
+            for c in range(x.shape[1]):
+                out[r, c] += values[k] * x[columns[k], c]
+
+
+def times(pointers: NDArray[Any], columns: NDArray[Any], values: NDArray[Any], x: NDArray[Any]) -> NDArray[Any]:
     """A sparse matrix in compressed rows times pictures: ``out[r] = sum over k of values[k] * x[columns[k]]``.
 
     Args:
@@ -20,10 +33,6 @@ def times(pointers, columns, values, x):
     Returns:
         (rows, C) float32.
     """
-    rows, channels = len(pointers) - 1, x.shape[1]
-    out = np.zeros((rows, channels), np.float32)
-    for r in prange(rows):
-        for k in range(pointers[r], pointers[r + 1]):
-            for c in range(channels):
-                out[r, c] += values[k] * x[columns[k], c]
+    out = np.zeros((len(pointers) - 1, x.shape[1]), np.float32)
+    in_threads(_times_part, len(out), pointers, columns, values, x, out)
     return out

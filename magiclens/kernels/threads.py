@@ -32,18 +32,17 @@ def in_threads(kernel: Callable[..., None], count: int, *arguments: Any) -> None
         count: Number of indices of the loop.
         arguments: The same for every part.
     """
-    from numba import config
+    from numba import get_num_threads
 
-    threads: int = config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
+    threads: int = get_num_threads()
     parts = min(count, _PARTS_PER_THREAD * threads if threads > 1 else 1)
     edges = [k * count // max(parts, 1) for k in range(parts + 1)]
     calls = [LoopPart(first, end) for first, end in pairwise(edges)]
     if len(calls) < 2:
         for part in calls:
             kernel(part, *arguments)
-        return
-    kernel(calls[0], *arguments)  # alone, since it may have to be compiled
-    list(_pool(threads).map(lambda part: kernel(part, *arguments), calls[1:]))
+    else:
+        list(_pool(threads).map(lambda part: kernel(part, *arguments), calls))
 
 
 @cache

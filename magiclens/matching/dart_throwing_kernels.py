@@ -5,10 +5,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
 
-from magiclens.contract.artifacts import BoolArray, IntArray
+from magiclens.contract.artifacts import BoolArray, FloatArray, IntArray
+from magiclens.kernels.compiler import njit
+from magiclens.kernels.threads import in_threads
 from magiclens.matching.reachability_kernels import reachable
+from magiclens.optics.medium import Optics
 from magiclens.optics.refraction import facet_normal
 from magiclens.optics.walls import Edges, best_height, surroundings
 
@@ -30,8 +32,22 @@ class Labels(NamedTuple):
     edges: Edges
 
 
-@njit(cache=True, parallel=True)
-def regions_reachable(centres, offsets, maps, pitch, optics, relief):
+@njit(cache=True, nogil=True)
+def _regions_reachable_part(part, centres, offsets, maps, half, optics, relief, out):
+    """Part of the facets, see ``regions_reachable``."""
+    for f in range(part.first, part.end):
+        cx, cy = centres[f, 0], centres[f, 1]
+        for k in range(len(offsets)):
+            rx, ry = offsets[k, 0], offsets[k, 1]
+            for s in range(4):
+                out[f, k, s] = reachable(
+                    (cx, cy), (rx, ry), (maps[s, 0], 0.0, maps[s, 1]), half, optics
+                ) and relief >= _tallest((cx, cy), (rx, ry), (maps[s, 0], maps[s, 1]), half, optics)
+
+
+def regions_reachable(
+    centres: FloatArray, offsets: FloatArray, maps: FloatArray, pitch: float, optics: Optics, relief: float
+) -> BoolArray:  # fmt: skip
     """(F, D^2, 4) bool: can a facet show its neighbouring sub-regions with each map, below slope limit and relief?
 
     Args:
@@ -43,14 +59,7 @@ def regions_reachable(centres, offsets, maps, pitch, optics, relief):
         relief: how far the top may rise or fall from the reference plane, mm.
     """
     out = np.zeros((len(centres), len(offsets), 4), np.bool_)
-    for f in prange(len(centres)):
-        cx, cy = centres[f, 0], centres[f, 1]
-        for k in range(len(offsets)):
-            rx, ry = offsets[k, 0], offsets[k, 1]
-            for s in range(4):
-                out[f, k, s] = reachable(
-                    (cx, cy), (rx, ry), (maps[s, 0], 0.0, maps[s, 1]), 0.5 * pitch, optics
-                ) and relief >= _tallest((cx, cy), (rx, ry), (maps[s, 0], maps[s, 1]), 0.5 * pitch, optics)
+    in_threads(_regions_reachable_part, len(centres), centres, offsets, maps, 0.5 * pitch, optics, relief, out)
     return out
 
 

@@ -10,11 +10,13 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
 
 from magiclens.contract.artifacts import FloatArray
+from magiclens.kernels.compiler import njit
 from magiclens.kernels.sampling import blend, clamped_cell
+from magiclens.kernels.threads import in_threads
 from magiclens.matching.reachability_kernels import distance_term
+from magiclens.matching.tuples import Found, Tiles, Window
 
 LOOK_UPS = 2
 """Source look-ups per side of a pixel."""
@@ -72,8 +74,14 @@ def _evaluate_facet(f, tiles, source, per_mm, stairs, window, found):
         found.errors[f, k] = total / (channels * pixels * pixels) + far
 
 
-@njit(cache=True, parallel=True)
-def evaluate(tiles, source, per_mm, stairs, window, found):
+@njit(cache=True, nogil=True)
+def _evaluate_part(part, tiles, source, per_mm, stairs, window, found):
+    """Part of the facets, see ``evaluate``."""
+    for f in range(part.first, part.end):
+        _evaluate_facet(f, tiles, source, per_mm, stairs, window, found)
+
+
+def evaluate(tiles: Tiles, source: FloatArray, per_mm: float, stairs: Staircase, window: Window, found: Found) -> None:
     """Replace candidates' errors by what flat micro-facets show; inf stays.
 
     ``error = mean over pixels of (display(mean light of the look-ups) - tile)^2 + distance_term`` with the look-up of a
@@ -87,5 +95,4 @@ def evaluate(tiles, source, per_mm, stairs, window, found):
         window: the search window.
         found: the candidates; their errors are updated in place.
     """
-    for f in prange(len(tiles.centres)):
-        _evaluate_facet(f, tiles, source, per_mm, stairs, window, found)
+    in_threads(_evaluate_part, len(tiles.centres), tiles, source, per_mm, stairs, window, found)

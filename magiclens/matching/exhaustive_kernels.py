@@ -11,11 +11,15 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
 
-from magiclens.contract.artifacts import IntArray
+from magiclens.contract.artifacts import FloatArray, IntArray
+from magiclens.kernels.compiler import njit
+from magiclens.kernels.threads import in_threads
 from magiclens.matching.raster_kernels import BLOCK_PIXELS
+from magiclens.matching.rasters import Raster
 from magiclens.matching.reachability_kernels import distance_term, reachable
+from magiclens.matching.tuples import Found, Tiles, Window
+from magiclens.optics.medium import Optics
 
 
 class _Samples(NamedTuple):
@@ -146,8 +150,16 @@ def _search_facet(f, tiles, blocks, raster, window, mirrored, optics, found):
                         found.maps[f, k, 0], found.maps[f, k, 1], found.maps[f, k, 2] = xx, 0.0, yy
 
 
-@njit(cache=True, parallel=True)
-def search(tiles, blocks, raster, window, mirrored, optics, found):
+@njit(cache=True, nogil=True)
+def _search_part(part, tiles, blocks, raster, window, mirrored, optics, found):
+    """Part of the facets, see ``search``."""
+    for f in range(part.first, part.end):
+        _search_facet(f, tiles, blocks, raster, window, mirrored, optics, found)
+
+
+def search(
+    tiles: Tiles, blocks: FloatArray, raster: Raster, window: Window, mirrored: bool, optics: Optics, found: Found
+) -> None:  # fmt: skip
     """Try every offset of one raster for every facet; keep the best per bucket of the offset window.
 
     ``M = mean over pixels of (tile - patch)^2 + distance_term`` is minimised (4.2).
@@ -161,5 +173,4 @@ def search(tiles, blocks, raster, window, mirrored, optics, found):
         optics: ``Optics`` in the image frame.
         found: the best of each bucket so far, updated in place.
     """
-    for f in prange(len(tiles.centres)):
-        _search_facet(f, tiles, blocks, raster, window, mirrored, optics, found)
+    in_threads(_search_part, len(tiles.centres), tiles, blocks, raster, window, mirrored, optics, found)

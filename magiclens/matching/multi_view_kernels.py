@@ -11,14 +11,17 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
 
 from magiclens.contract.artifacts import FloatArray, IntArray
+from magiclens.kernels.compiler import njit
 from magiclens.kernels.sampling import bilinear, blend, clamped_cell
-from magiclens.matching.evaluation_kernels import LOOK_UPS
-from magiclens.matching.polishing_kernels import PARAMETERS, polishing_step
+from magiclens.kernels.threads import in_threads
+from magiclens.matching.evaluation_kernels import LOOK_UPS, Staircase
+from magiclens.matching.polishing_kernels import PARAMETERS, polishing_step, read_candidate, write_candidate
 from magiclens.matching.reachability_kernels import distance_term, reachable
+from magiclens.matching.tuples import Found, Levels, PolishingRule, Window
 from magiclens.optics.eyes import FirstOrder, linearise, local_map, shift, unknown_first_order
+from magiclens.optics.medium import Optics
 
 BLOCKS = 4
 """Blocks along a tile's side, whose means the search compares."""
@@ -191,8 +194,14 @@ def _search_facet(f, views, facets, trials, window, optics, found):
                         found.maps[f, k, 0], found.maps[f, k, 1], found.maps[f, k, 2] = m[0], 0.0, m[2]
 
 
-@njit(cache=True, parallel=True)
-def search_views(views, facets, trials, window, optics, found):
+@njit(cache=True, nogil=True)
+def _search_views_part(part, views, facets, trials, window, optics, found):
+    """Part of the facets, see ``search_views``."""
+    for f in range(part.first, part.end):
+        _search_facet(f, views, facets, trials, window, optics, found)
+
+
+def search_views(views: Views, facets: Facets, trials: Trials, window: Window, optics: Optics, found: Found) -> None:
     """Try every offset and every map of the lattice for every facet; keep the best per bucket of the offset window.
 
     ``M = mean over views and blocks of (tile - patch)^2 + distance_term`` is minimised (4.2, 4.6).
@@ -205,8 +214,7 @@ def search_views(views, facets, trials, window, optics, found):
         optics: ``Optics`` in the image frame.
         found: the best of each bucket so far, updated in place.
     """
-    for f in prange(len(facets.centres)):
-        _search_facet(f, views, facets, trials, window, optics, found)
+    in_threads(_search_views_part, len(facets.centres), views, facets, trials, window, optics, found)
 
 
 @njit(cache=True)
@@ -284,7 +292,7 @@ def _polish_facet(f, views, facets, polishing, window, optics, found):
     for k in range(found.errors.shape[1]):
         if not np.isfinite(found.errors[f, k]):
             continue
-        p[:2], p[2:] = found.offsets[f, k], found.maps[f, k]
+        read_candidate(found, f, k, p)
         if not _look(views, facet, p, 0.5 * pitch, half_source, optics, sighting):
             found.errors[f, k] = np.inf
             continue
@@ -292,7 +300,8 @@ def _polish_facet(f, views, facets, polishing, window, optics, found):
         best = _normal_equations(views, levels, pitch, pixels, sighting, jtj, jtr, k < rule.most)
         for _ in range(rule.iterations if k < rule.most else 0):
             polishing_step(jtj, jtr, damping, per_mm, rule.isotropic, step)
-            q[:] = p + step
+            for a in range(PARAMETERS):
+                q[a] = p[a] + step[a]
             trial = np.float32(np.inf)
             if (
                 not (rule.isotropic and q[2] <= 0.0) and abs(q[0]) <= window.half and abs(q[1]) <= window.half
@@ -302,7 +311,7 @@ def _polish_facet(f, views, facets, polishing, window, optics, found):
                 trial = _normal_equations(views, levels, pitch, pixels, sighting, jtj, jtr, False)
             if trial < best:
                 gain = best - trial
-                p[:] = q
+                p, q = q, p
                 damping *= 0.3
                 best = _normal_equations(views, levels, pitch, pixels, sighting, jtj, jtr, True)
                 if gain < 1e-3 * best:
@@ -312,11 +321,26 @@ def _polish_facet(f, views, facets, polishing, window, optics, found):
                 if damping > 1e4:
                     break
         found.errors[f, k] = best + distance_term(p[0], p[1], window)
-        found.offsets[f, k], found.maps[f, k] = p[:2], p[2:]
+        write_candidate(p, found, f, k)
 
 
-@njit(cache=True, parallel=True)
-def polish_views(views, facets, levels, pixels, window, rule, optics, found):
+@njit(cache=True, nogil=True)
+def _polish_views_part(part, views, facets, polishing, window, optics, found):
+    """Part of the facets, see ``polish_views``."""
+    for f in range(part.first, part.end):
+        _polish_facet(f, views, facets, polishing, window, optics, found)
+
+
+def polish_views(
+    views: Views,
+    facets: Facets,
+    levels: Levels,
+    pixels: int,
+    window: Window,
+    rule: PolishingRule,
+    optics: Optics,
+    found: Found,
+) -> None:
     """Polish candidates in place by Levenberg-Marquardt, on what all eyes see; all get their new error.
 
     ``mean over views and pixels of (tile - patch)^2`` is minimised.
@@ -331,8 +355,8 @@ def polish_views(views, facets, levels, pixels, window, rule, optics, found):
         optics: ``Optics`` in the image frame.
         found: the candidates, updated in place.
     """
-    for f in prange(len(facets.centres)):
-        _polish_facet(f, views, facets, (levels, pixels, rule), window, optics, found)
+    polishing = (levels, pixels, rule)
+    in_threads(_polish_views_part, len(facets.centres), views, facets, polishing, window, optics, found)
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc", "arcp"})
@@ -352,7 +376,7 @@ def _evaluate_facet(f, views, facets, shown, window, optics, found):
     for k in range(found.errors.shape[1]):
         if not np.isfinite(found.errors[f, k]):
             continue
-        p[:2], p[2:] = found.offsets[f, k], found.maps[f, k]
+        read_candidate(found, f, k, p)
         facet = (facets.centres[f, 0], facets.centres[f, 1], facets.heights[f])
         if not _look(views, facet, p, 0.5 * pitch, np.inf, optics, sighting):
             found.errors[f, k] = np.inf
@@ -389,8 +413,23 @@ def _evaluate_facet(f, views, facets, shown, window, optics, found):
         found.errors[f, k] = total / (count * channels * pixels * pixels) + far
 
 
-@njit(cache=True, parallel=True)
-def evaluate_views(views, facets, sources, pixels, stairs, window, optics, found):
+@njit(cache=True, nogil=True)
+def _evaluate_views_part(part, views, facets, shown, window, optics, found):
+    """Part of the facets, see ``evaluate_views``."""
+    for f in range(part.first, part.end):
+        _evaluate_facet(f, views, facets, shown, window, optics, found)
+
+
+def evaluate_views(
+    views: Views,
+    facets: Facets,
+    sources: FloatArray,
+    pixels: int,
+    stairs: Staircase,
+    window: Window,
+    optics: Optics,
+    found: Found,
+) -> None:
     """Replace candidates' errors by what flat micro-facets show all eyes; see ``evaluation_kernels.evaluate``.
 
     ``error = mean over views and pixels of (display(mean light of the look-ups) - tile)^2 + distance_term``, a look-up
@@ -406,5 +445,5 @@ def evaluate_views(views, facets, sources, pixels, stairs, window, optics, found
         optics: ``Optics`` in the image frame.
         found: the candidates; their errors are updated in place.
     """
-    for f in prange(len(facets.centres)):
-        _evaluate_facet(f, views, facets, (sources, pixels, stairs), window, optics, found)
+    shown = (sources, pixels, stairs)
+    in_threads(_evaluate_views_part, len(facets.centres), views, facets, shown, window, optics, found)

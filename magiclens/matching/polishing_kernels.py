@@ -9,11 +9,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
 
+from magiclens.contract.artifacts import FloatArray
 from magiclens.kernels.cholesky import solve_damped
+from magiclens.kernels.compiler import njit
 from magiclens.kernels.sampling import clamped_cell
+from magiclens.kernels.threads import in_threads
 from magiclens.matching.reachability_kernels import distance_term, reachable
+from magiclens.matching.tuples import Found, Levels, PolishingRule, Tiles, Window
+from magiclens.optics.medium import Optics
 
 PARAMETERS = 5
 """How many parameters are polished: offset x, y and map xx, xy, yy."""
@@ -83,6 +87,21 @@ def _normal_equations(tile, levels, per_mm, centre, px, p, jtj, jtr):
     return total / (channels * pixels * pixels)
 
 
+# element by element: numba compiles an assignment of slices for seconds, with the texts of its errors
+@njit(cache=True)
+def read_candidate(found, f, k, p):
+    """Fill p (5,) with the parameters of candidate k of facet f."""
+    p[0], p[1] = found.offsets[f, k, 0], found.offsets[f, k, 1]
+    p[2], p[3], p[4] = found.maps[f, k, 0], found.maps[f, k, 1], found.maps[f, k, 2]
+
+
+@njit(cache=True)
+def write_candidate(p, found, f, k):
+    """Give candidate k of facet f the parameters p (5,)."""
+    found.offsets[f, k, 0], found.offsets[f, k, 1] = p[0], p[1]
+    found.maps[f, k, 0], found.maps[f, k, 1], found.maps[f, k, 2] = p[2], p[3], p[4]
+
+
 @njit(cache=True)
 def polishing_step(jtj, jtr, damping, per_mm, isotropic, step):
     """Fill step (5,) with a damped Gauss-Newton step of the parameters, mm.
@@ -136,18 +155,19 @@ def _polish_facet(f, tiles, levels, per_mm, window, rule, optics, found):
     for k in range(found.errors.shape[1]):
         if not np.isfinite(found.errors[f, k]):
             continue
-        p[:2], p[2:] = found.offsets[f, k], found.maps[f, k]
+        read_candidate(found, f, k, p)
         damping = 1e-2
         best = _normal_equations(tile, levels, per_mm, centre, px, p, jtj[now], jtr[now])
         for _ in range(rule.iterations if k < rule.most else 0):
             polishing_step(jtj[now], jtr[now], damping, per_mm, rule.isotropic, step)
-            q[:] = p + step
+            for a in range(PARAMETERS):
+                q[a] = p[a] + step[a]
             other, trial = 1 - now, np.inf
             if _allowed(q, centre, tiles, edge, window, rule, optics):
                 trial = _normal_equations(tile, levels, per_mm, centre, px, q, jtj[other], jtr[other])
             if trial < best:
                 gain, best, now = best - trial, trial, other
-                p[:] = q
+                p, q = q, p
                 damping *= 0.3
                 if gain < 1e-3 * best:
                     break
@@ -156,11 +176,19 @@ def _polish_facet(f, tiles, levels, per_mm, window, rule, optics, found):
                 if damping > 1e4:
                     break
         found.errors[f, k] = best + distance_term(p[0], p[1], window)
-        found.offsets[f, k], found.maps[f, k] = p[:2], p[2:]
+        write_candidate(p, found, f, k)
 
 
-@njit(cache=True, parallel=True)
-def polish(tiles, levels, per_mm, window, rule, optics, found):
+@njit(cache=True, nogil=True)
+def _polish_part(part, tiles, levels, per_mm, window, rule, optics, found):
+    """Part of the facets, see ``polish``."""
+    for f in range(part.first, part.end):
+        _polish_facet(f, tiles, levels, per_mm, window, rule, optics, found)
+
+
+def polish(
+    tiles: Tiles, levels: Levels, per_mm: float, window: Window, rule: PolishingRule, optics: Optics, found: Found
+) -> None:  # fmt: skip
     """Polish candidates in place by Levenberg-Marquardt; ``mean over pixels of (tile - patch)^2`` is minimised.
 
     All candidates, polished or not, get their error at the sub-pixel position, so that they can be compared.
@@ -174,22 +202,21 @@ def polish(tiles, levels, per_mm, window, rule, optics, found):
         optics: ``Optics`` in the image frame.
         found: the candidates, updated in place.
     """
-    for f in prange(len(tiles.centres)):
-        _polish_facet(f, tiles, levels, per_mm, window, rule, optics, found)
+    in_threads(_polish_part, len(tiles.centres), tiles, levels, per_mm, window, rule, optics, found)
 
 
-@njit(cache=True)
-def _drop_unreachable(f, centres, half, optics, found):
-    """Drop the candidates that facet f cannot show, see ``drop_unreachable``."""
-    centre = (centres[f, 0], centres[f, 1])
-    for k in range(found.errors.shape[1]):
-        offset, m = (found.offsets[f, k, 0], found.offsets[f, k, 1]), found.maps[f, k]
-        if np.isfinite(found.errors[f, k]) and not reachable(centre, offset, (m[0], m[1], m[2]), half, optics):
-            found.errors[f, k] = np.inf
+@njit(cache=True, nogil=True)
+def _drop_unreachable_part(part, centres, half, optics, found):
+    """Part of the facets, see ``drop_unreachable``."""
+    for f in range(part.first, part.end):
+        centre = (centres[f, 0], centres[f, 1])
+        for k in range(found.errors.shape[1]):
+            offset, m = (found.offsets[f, k, 0], found.offsets[f, k, 1]), found.maps[f, k]
+            if np.isfinite(found.errors[f, k]) and not reachable(centre, offset, (m[0], m[1], m[2]), half, optics):
+                found.errors[f, k] = np.inf
 
 
-@njit(cache=True, parallel=True)
-def drop_unreachable(centres, half, optics, found):
+def drop_unreachable(centres: FloatArray, half: float, optics: Optics, found: Found) -> None:
     """Set the errors of candidates to infinity, in place, that facets cannot show.
 
     Args:
@@ -198,5 +225,4 @@ def drop_unreachable(centres, half, optics, found):
         optics: ``Optics`` in the image frame.
         found: the candidates.
     """
-    for f in prange(len(centres)):
-        _drop_unreachable(f, centres, half, optics, found)
+    in_threads(_drop_unreachable_part, len(centres), centres, half, optics, found)

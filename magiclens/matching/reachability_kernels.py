@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from numba import njit
-
+from magiclens.kernels.compiler import njit
 from magiclens.optics.refraction import facet_normal
 
 

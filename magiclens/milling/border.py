@@ -39,6 +39,4 @@ def inner_rectangle(solid: Solid) -> Rectangle:
     # a grid may be mirrored, so its sides are told apart by where they are, not by their index
     left, right = (choose(sides, key=lambda side: float(side[:, 0].mean())) for choose in (min, max))
     down, up = (choose(sides, key=lambda side: float(side[:, 1].mean())) for choose in (min, max))
-    return Rectangle(
-        float(left[:, 0].max()), float(right[:, 0].min()), float(down[:, 1].max()), float(up[:, 1].min())
-    )
+    return Rectangle(float(left[:, 0].max()), float(right[:, 0].min()), float(down[:, 1].max()), float(up[:, 1].min()))

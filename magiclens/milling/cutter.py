@@ -79,4 +79,3 @@ class Cutter(BaseModel):
         diameter, shape, angle, form, tip, reach = match.groups()
         cone = {"angle": angle, "tip_form": form, "tip": tip} if shape == "v" else {}
         return cls.model_validate({"shape": shape, "diameter": diameter, "reach": reach, **cone})
-

@@ -32,7 +32,7 @@ _WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))")
 _COMMENT = re.compile(r"\(([^)]*)\)")
 
 
-class Gcode(LineMilling):
+class Gcode(LineMilling):  # noqa: D101 - the docstring goes on with that of the base
     __doc__ = f"""G-code in millimetres, absolute, feed per minute. {LineMilling.__doc__}"""
 
     type: ClassVar[str] = "gcode"

@@ -8,11 +8,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
 
 from magiclens.contract.artifacts import FloatArray
+from magiclens.kernels.compiler import njit
+from magiclens.kernels.threads import in_threads
+from magiclens.milling.outline import Outline
 from magiclens.milling.outline_kernels import distance_at, rise_at, touch, touch_segment
-from magiclens.milling.row_index import HAIR_MM
+from magiclens.milling.row_index import HAIR_MM, RowIndex
 
 
 class OffsetFaces(NamedTuple):
@@ -84,17 +86,11 @@ def fill_depths(vertices, faces, depths):
                 z[i, j] = min(z[i, j], lowest)
 
 
-@njit(cache=True, parallel=True)
-def shortened(outline, edges, depths):
-    """(E,) reaches of edges, shortened: reach = distance(z_upper - min z), min over all cells within the old reach.
-
-    At the distance r from an edge the cutter's surface is rise(r) above the tip, and the tip is not below the lowest
-    surface near the edge. So they can only touch where rise(r) <= z_upper - min z. Edges whose old reach leaves
-    the map keep it: nothing is known of what lies beside the solid.
-    """
+@njit(cache=True, nogil=True)
+def _shortened_part(part, outline, edges, depths, out):
+    """Part of the edges, see ``shortened``."""
     low, high, side = depths.low, depths.high, depths.side
-    out = np.empty_like(edges.reach)
-    for e in prange(len(edges.reach)):
+    for e in range(part.first, part.end):
         a, b, r = edges.low[e], edges.high[e], edges.reach[e]
         out[e] = r
         left, right = min(a[0], b[0]) - r, max(a[0], b[0]) + r
@@ -106,11 +102,43 @@ def shortened(outline, edges, depths):
             for j in range(int((lower - low[1]) / side), int((upper - low[1]) / side) + 1):
                 z = min(z, depths.z[i, j])
         out[e] = min(distance_at(outline, b[2] - z), r)
+
+
+def shortened(outline: Outline, edges: TouchableEdges, depths: DepthMap) -> FloatArray:
+    """(E,) reaches of edges, shortened: reach = distance(z_upper - min z), min over all cells within the old reach.
+
+    At the distance r from an edge the cutter's surface is rise(r) above the tip, and the tip is not below the lowest
+    surface near the edge. So they can only touch where rise(r) <= z_upper - min z. Edges whose old reach leaves
+    the map keep it: nothing is known of what lies beside the solid.
+    """
+    out = np.empty_like(edges.reach)
+    in_threads(_shortened_part, len(out), outline, edges, depths, out)
     return out
 
 
-@njit(cache=True, parallel=True)
-def lowest_tips(outline, faces, face_rows, edges, edge_rows, raster, floor):
+@njit(cache=True, nogil=True)
+def _lowest_tips_part(part, outline, faces_by_row, edges_by_row, raster, z):
+    """Part of the rows, see ``lowest_tips``; what is there, and its ``RowIndex``."""
+    (faces, face_rows), (edges, edge_rows) = faces_by_row, edges_by_row
+    for row in range(part.first, part.end):
+        y = raster.y_mm[row]
+        for k in range(face_rows.start[row], face_rows.start[row + 1]):
+            f = face_rows.member[k]
+            _raise_to_face(z[row], faces.corners[f], faces.z[f], faces.slope[f], raster, y)
+        for k in range(edge_rows.start[row], edge_rows.start[row + 1]):
+            e = edge_rows.member[k]
+            _raise_to_edge(z[row], outline, edges.low[e], edges.high[e], edges.reach[e], raster, y)
+
+
+def lowest_tips(
+    outline: Outline,
+    faces: OffsetFaces,
+    face_rows: RowIndex,
+    edges: TouchableEdges,
+    edge_rows: RowIndex,
+    raster: TipRaster,
+    floor: float,
+) -> FloatArray:
     """tip(p) = max over surface points q of z(q) - rise(|p - q|), at every point p of the raster.
 
     Args:
@@ -124,14 +152,7 @@ def lowest_tips(outline, faces, face_rows, edges, edge_rows, raster, floor):
         (rows, columns) float64, mm.
     """
     z = np.full((len(raster.y_mm), raster.columns), floor)
-    for row in prange(len(raster.y_mm)):
-        y = raster.y_mm[row]
-        for k in range(face_rows.start[row], face_rows.start[row + 1]):
-            f = face_rows.member[k]
-            _raise_to_face(z[row], faces.corners[f], faces.z[f], faces.slope[f], raster, y)
-        for k in range(edge_rows.start[row], edge_rows.start[row + 1]):
-            e = edge_rows.member[k]
-            _raise_to_edge(z[row], outline, edges.low[e], edges.high[e], edges.reach[e], raster, y)
+    in_threads(_lowest_tips_part, len(z), outline, (faces, face_rows), (edges, edge_rows), raster, z)
     return z
 
 

@@ -79,9 +79,7 @@ class Operation:
         """
         outline = self.cutter.outline()
         wider = 0.0 if outline.arc else self.spacing[0]
-        outline = outline._replace(
-            flat=outline.flat + wider, knee=outline.knee + wider, radius=outline.radius + wider
-        )
+        outline = outline._replace(flat=outline.flat + wider, knee=outline.knee + wider, radius=outline.radius + wider)
         return Contacts(self.solid, outline, inner_rectangle(self.solid))
 
     @cached_property

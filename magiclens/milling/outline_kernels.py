@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from magiclens.kernels.compiler import njit
 
 _WITHIN = 1.0 - 1e-12
 """A factor that keeps points on the rim from falling outside by rounding."""

@@ -27,7 +27,7 @@ _COUNT = {"PA": 0, "PU": 2, "Z": 3, "VS": 1, "!VZ": 1, "!PZ": 2, "!MC": 1}
 """Number of arguments of each command that ``parse_rml`` understands."""
 
 
-class Rml(LineMilling):
+class Rml(LineMilling):  # noqa: D101 - the docstring goes on with that of the base
     __doc__ = f"""Roland RML-1, in steps of 0.01 mm, a file for each cutter. {LineMilling.__doc__}"""
 
     type: ClassVar[str] = "rml"

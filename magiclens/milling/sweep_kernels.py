@@ -6,9 +6,13 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
 
+from magiclens.contract.artifacts import FloatArray
+from magiclens.kernels.compiler import njit
+from magiclens.kernels.threads import in_threads
+from magiclens.milling.outline import Outline
 from magiclens.milling.outline_kernels import distance_at, rise_at, touch_segment
+from magiclens.milling.row_index import RowIndex
 
 BAND = 16
 """Number of rows that one thread cuts together."""
@@ -43,20 +47,11 @@ def reaches(outline, lowest, top):
     return out
 
 
-@njit(cache=True, parallel=True)
-def cut_grid(outline, moves, reach, bands, x_mm, y_mm, z):
-    """z(p) = min(z(p), min over all positions q of the tip of z(q) + rise(|p - q|)), at every point p of a grid.
-
-    Args:
-        outline: the cutter's ``Outline``.
-        moves: (M, 2, 3) float64, lower and upper end of each move, mm.
-        reach: (M,) how far from each move points are cut, mm.
-        bands: the ``RowIndex`` of the moves over bands of ``BAND`` rows.
-        x_mm, y_mm: (columns,) and (rows,) ascending.
-        z: (rows, columns) float64, changed in place, mm.
-    """
+@njit(cache=True, nogil=True)
+def _cut_part(part, outline, moves, reach, bands, x_mm, y_mm, z):
+    """Part of the bands, see ``cut_grid``."""
     blocks = (len(x_mm) + _BLOCK - 1) // _BLOCK
-    for band in prange(len(bands.start) - 1):
+    for band in range(part.first, part.end):
         first, last = band * BAND, min((band + 1) * BAND, len(y_mm))
         highest = np.empty((last - first, blocks))
         for row in range(first, last):
@@ -72,6 +67,28 @@ def cut_grid(outline, moves, reach, bands, x_mm, y_mm, z):
                 beside = max(low - y, y - high, 0.0)
                 if beside < r:
                     _cut_row(outline, cut, r, beside, x_mm, y, z[row], highest[row - first])
+
+
+def cut_grid(
+    outline: Outline,
+    moves: FloatArray,
+    reach: FloatArray,
+    bands: RowIndex,
+    x_mm: FloatArray,
+    y_mm: FloatArray,
+    z: FloatArray,
+) -> None:
+    """z(p) = min(z(p), min over all positions q of the tip of z(q) + rise(|p - q|)), at every point p of a grid.
+
+    Args:
+        outline: the cutter's ``Outline``.
+        moves: (M, 2, 3) float64, lower and upper end of each move, mm.
+        reach: (M,) how far from each move points are cut, mm.
+        bands: the ``RowIndex`` of the moves over bands of ``BAND`` rows.
+        x_mm, y_mm: (columns,) and (rows,) ascending.
+        z: (rows, columns) float64, changed in place, mm.
+    """
+    in_threads(_cut_part, len(bands.start) - 1, outline, moves, reach, bands, x_mm, y_mm, z)
 
 
 @njit(cache=True)

@@ -5,7 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+
+from magiclens.contract.artifacts import FloatArray
+from magiclens.kernels.compiler import njit
+from magiclens.kernels.threads import in_threads
 
 _UNEVEN = 3.0
 """Samples count as a jump where they bend down by this many times more than the cutter's own roundness explains."""
@@ -13,8 +16,17 @@ _NOISE_MM = 2e-4
 """Bends below this come from rounding."""
 
 
-@njit(cache=True, parallel=True)
-def covering(z, bend):
+@njit(cache=True, nogil=True)
+def _covering_part(part, z, bend, out):
+    """Part of the rows, see ``covering``."""
+    for row in range(part.first, part.end):
+        for i in range(1, z.shape[1] - 1):
+            if z[row, i - 1] - 2.0 * z[row, i] + z[row, i + 1] < -_UNEVEN * bend - _NOISE_MM:
+                out[row, i - 1] = max(out[row, i - 1], z[row, i])
+                out[row, i + 1] = max(out[row, i + 1], z[row, i])
+
+
+def covering(z: FloatArray, bend: float) -> FloatArray:
     """Raise heights beside jumps, so that straight lines between samples stay above the cutter's true path too.
 
     Between two samples the path bulges by no more than the cutter's roundness allows, unless it jumps. Where it
@@ -25,20 +37,15 @@ def covering(z, bend):
         bend: second difference of the samples that the cutter's roundness explains, mm: spacing^2 / radius.
     """
     out = z.copy()
-    for row in prange(z.shape[0]):
-        for i in range(1, z.shape[1] - 1):
-            if z[row, i - 1] - 2.0 * z[row, i] + z[row, i + 1] < -_UNEVEN * bend - _NOISE_MM:
-                out[row, i - 1] = max(out[row, i - 1], z[row, i])
-                out[row, i + 1] = max(out[row, i + 1], z[row, i])
+    in_threads(_covering_part, len(z), z, bend, out)
     return out
 
 
-@njit(cache=True, parallel=True)
-def thinned(z, every):
-    """(rows, 1 + (columns - 1) / every): one in ``every`` samples, raised until lines between them cover the rest."""
-    rows, columns = z.shape[0], (z.shape[1] - 1) // every + 1
-    out = np.empty((rows, columns))
-    for row in prange(rows):
+@njit(cache=True, nogil=True)
+def _thinned_part(part, z, every, out):
+    """Part of the rows, see ``thinned``."""
+    columns = out.shape[1]
+    for row in range(part.first, part.end):
         for k in range(columns):
             out[row, k] = z[row, k * every]
         missing = np.zeros(columns)
@@ -48,6 +55,12 @@ def thinned(z, every):
                 lack = z[row, k * every + i] - (a + (b - a) * i / every)
                 missing[k], missing[k + 1] = max(missing[k], lack), max(missing[k + 1], lack)
         out[row] += missing
+
+
+def thinned(z: FloatArray, every: int) -> FloatArray:
+    """(rows, 1 + (columns - 1) / every): one in ``every`` samples, raised until lines between them cover the rest."""
+    out = np.empty((len(z), (z.shape[1] - 1) // every + 1))
+    in_threads(_thinned_part, len(z), z, every, out)
     return out
 
 

@@ -12,9 +12,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from magiclens.contract.artifacts import FloatArray
+from magiclens.kernels.compiler import njit
 from magiclens.optics.medium import Cut
 from magiclens.optics.refraction import facet_normal, refract
 

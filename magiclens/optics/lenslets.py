@@ -5,9 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
 
+from magiclens.contract.artifacts import FloatArray
+from magiclens.kernels.compiler import njit
+from magiclens.kernels.threads import in_threads
 from magiclens.optics.eyes import height_gradient
+from magiclens.optics.medium import Cut, Slab
 from magiclens.optics.refraction import facet_normal, refract
 from magiclens.optics.walls import Edges
 
@@ -46,29 +49,13 @@ def _lost(x, y, along_x, outward, normal, cut, eyes, slab):
     return total / len(eyes)
 
 
-@njit(cache=True, parallel=True)
-def lenslet_edges(centres, offsets, maps, pitch, cut, eyes, slab, points):
-    """``Edges`` (F, K, 4, Q) float32 of lenslets that show the candidates' patches.
-
-    ``h(u, v) = g . (u, v) + (u, v) H (u, v) / 2 - tr(H) pitch^2 / 24``: quadratic, with zero mean over the facet. The
-    slopes g at the centre and H, their differences over the four edge midpoints, are taken on the reference plane.
-
-    Args:
-        centres: (F, 2) mm.
-        offsets: (F, K, 2) mm, as in ``artifacts.Candidates``.
-        maps: (F, K, 3) as in ``artifacts.Candidates``.
-        pitch: side of a facet, mm.
-        cut: how the top is cut, and the eye that the facets are designed for.
-        eyes: (V, 3) of all views, mm; drifts are means over them and count walls that are seen from outside too.
-        slab: the glass.
-        points: Q, points per edge; drifts are equal along an edge.
-    """
-    facets, labels, _ = offsets.shape
-    profiles = np.zeros((facets, labels, 4, points), np.float32)
-    drifts = np.zeros((facets, labels, 4, points), np.float32)
-    half = 0.5 * pitch
-    for f in prange(facets):
-        s = np.zeros((5, 5))
+@njit(cache=True, nogil=True)
+def _lenslet_edges_part(part, centres, candidates, pitch, cut, eyes, slab, edges):
+    """Part of the facets, see ``lenslet_edges``; candidates: offsets and maps. edges: to fill."""
+    (offsets, maps), (profiles, drifts) = candidates, edges
+    labels, points, half = offsets.shape[1], profiles.shape[3], 0.5 * pitch
+    s = np.zeros((5, 5))
+    for f in range(part.first, part.end):
         cx, cy = centres[f, 0], centres[f, 1]
         for k in range(labels):
             for e in range(5):
@@ -89,29 +76,46 @@ def lenslet_edges(centres, offsets, maps, pitch, cut, eyes, slab, points):
                     v = half if e == 1 else (-half if e == 3 else along)
                     rise = gu * u + gv * v + 0.5 * (guu * u * u + gvv * v * v) + guv * u * v
                     profiles[f, k, e, q] = rise - mean
-    return Edges(profiles, drifts)
 
 
-@njit(cache=True, parallel=True)
-def shape_drifts(shapes, centres, cell, cut, eyes, slab):
-    """(F, 4, k) float32: drifts at the vertices of the edges of facets that have been built, as in ``optics.walls``.
+def lenslet_edges(
+    centres: FloatArray,
+    offsets: FloatArray,
+    maps: FloatArray,
+    pitch: float,
+    cut: Cut,
+    eyes: FloatArray,
+    slab: Slab,
+    points: int,
+) -> Edges:
+    """``Edges`` (F, K, 4, Q) float32 of lenslets that show the candidates' patches.
 
-    A drift is a mean over the micro-facets at a vertex, whose normals are parallel to ``(-dh/du, -dh/dv, n_z)``, ``n_z
-    = 1 - (dh/du, dh/dv) . (q - eye) / D``, for cells along the rays of an eye at the distance D from the plane.
+    ``h(u, v) = g . (u, v) + (u, v) H (u, v) / 2 - tr(H) pitch^2 / 24``: quadratic, with zero mean over the facet. The
+    slopes g at the centre and H, their differences over the four edge midpoints, are taken on the reference plane.
 
     Args:
-        shapes: (F, k, k) heights of vertices, mm.
         centres: (F, 2) mm.
-        cell: distance between neighbouring vertices, mm.
-        cut: how the top is cut.
-        eyes: (V, 3) of all views, mm.
+        offsets: (F, K, 2) mm, as in ``artifacts.Candidates``.
+        maps: (F, K, 3) as in ``artifacts.Candidates``.
+        pitch: side of a facet, mm.
+        cut: how the top is cut, and the eye that the facets are designed for.
+        eyes: (V, 3) of all views, mm; drifts are means over them and count walls that are seen from outside too.
         slab: the glass.
+        points: Q, points per edge; drifts are equal along an edge.
     """
+    shape = (*offsets.shape[:2], 4, points)
+    edges = Edges(np.zeros(shape, np.float32), np.zeros(shape, np.float32))
+    in_threads(_lenslet_edges_part, len(offsets), centres, (offsets, maps), pitch, cut, eyes, slab, edges)
+    return edges
+
+
+@njit(cache=True, nogil=True)
+def _shape_drifts_part(part, shapes, centres, cell, cut, eyes, slab, drifts):
+    """Part of the facets, see ``shape_drifts``."""
     m = shapes.shape[1] - 1
-    drifts = np.zeros((len(shapes), 4, m + 1), np.float32)
     half = 0.5 * m * cell
-    for f in prange(len(shapes)):
-        normal, eye = np.zeros(3), cut.eye
+    normal, eye = np.zeros(3), cut.eye
+    for f in range(part.first, part.end):
         for e in range(4):
             side, outward = e == 0 or e == 2, 1.0 if e < 2 else -1.0
             for q in range(m):
@@ -130,11 +134,41 @@ def shape_drifts(shapes, centres, cell, cut, eyes, slab):
                 low = m - 1 - q if side else q
                 drifts[f, e, low] += drift if low == 0 else 0.5 * drift
                 drifts[f, e, low + 1] += drift if low + 1 == m else 0.5 * drift
+
+
+def shape_drifts(
+    shapes: FloatArray, centres: FloatArray, cell: float, cut: Cut, eyes: FloatArray, slab: Slab
+) -> FloatArray:  # fmt: skip
+    """(F, 4, k) float32: drifts at the vertices of the edges of facets that have been built, as in ``optics.walls``.
+
+    A drift is a mean over the micro-facets at a vertex, whose normals are parallel to ``(-dh/du, -dh/dv, n_z)``, ``n_z
+    = 1 - (dh/du, dh/dv) . (q - eye) / D``, for cells along the rays of an eye at the distance D from the plane.
+
+    Args:
+        shapes: (F, k, k) heights of vertices, mm.
+        centres: (F, 2) mm.
+        cell: distance between neighbouring vertices, mm.
+        cut: how the top is cut.
+        eyes: (V, 3) of all views, mm.
+        slab: the glass.
+    """
+    drifts = np.zeros((len(shapes), 4, shapes.shape[1]), np.float32)
+    in_threads(_shape_drifts_part, len(shapes), shapes, centres, cell, cut, eyes, slab, drifts)
     return drifts
 
 
-@njit(cache=True, parallel=True)
-def centre_slopes(centres, offsets, eye, slab):
+@njit(cache=True, nogil=True)
+def _centre_slopes_part(part, centres, offsets, eye, slab, out):
+    """Part of the facets, see ``centre_slopes``."""
+    for f in range(part.first, part.end):
+        x, y = centres[f, 0], centres[f, 1]
+        for k in range(offsets.shape[1]):
+            source = (x + offsets[f, k, 0], y + offsets[f, k, 1])
+            nx, ny, nz = facet_normal(eye, (x, y, slab.depth), source, slab)
+            out[f, k, 0], out[f, k, 1] = nx / -nz, ny / -nz
+
+
+def centre_slopes(centres: FloatArray, offsets: FloatArray, eye: FloatArray, slab: Slab) -> FloatArray:
     """(F, K, 2) slopes dz/dx and dz/dy at the facets' centres that show patches to an eye.
 
     Args:
@@ -144,10 +178,5 @@ def centre_slopes(centres, offsets, eye, slab):
         slab: the glass.
     """
     out = np.zeros(offsets.shape)
-    for f in prange(len(offsets)):
-        x, y = centres[f, 0], centres[f, 1]
-        for k in range(offsets.shape[1]):
-            source = (x + offsets[f, k, 0], y + offsets[f, k, 1])
-            nx, ny, nz = facet_normal(eye, (x, y, slab.depth), source, slab)
-            out[f, k, 0], out[f, k, 1] = nx / -nz, ny / -nz
+    in_threads(_centre_slopes_part, len(offsets), centres, offsets, eye, slab, out)
     return out

@@ -16,9 +16,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
 
-from magiclens.contract.artifacts import FloatArray
+from magiclens.contract.artifacts import FloatArray, IntArray
+from magiclens.kernels.compiler import njit
+from magiclens.kernels.threads import in_threads
 
 RIGHT, UP, LEFT, DOWN = 0, 1, 2, 3
 DOWNWARD, RIGHTWARD = (0, -1, 0, 1), (1, 0, -1, 0)
@@ -136,8 +137,48 @@ def surroundings(i, j, choice, heights, edges, around):
             around[e, points, 0], around[e, points, 1] = height + heights[r, c], drift
 
 
-@njit(cache=True, parallel=True)
-def heat_bath_sweep(choice, heights, errors, edges, terms, relief, temperature, dice):
+@njit(cache=True, nogil=True)
+def _sweep_part(part, colour, state, candidates, terms, relief, chance, moved):
+    """Part of the rows of a colour, see ``heat_bath_sweep``; state: choice and heights, chance: temperature and dice.
+
+    candidates: errors and edges. moved: (N,) greatest change of a height per row, updated in place.
+    """
+    (choice, heights), (errors, edges), (temperature, dice) = state, candidates, chance
+    n, _, labels = errors.shape
+    around = np.zeros((4, edges.profiles.shape[4] + 1, 2))
+    energy, level = np.zeros(labels), np.zeros(labels)
+    for row in range(part.first, part.end):
+        i = 2 * row + colour // 2
+        level[:] = 0.0
+        for j in range(colour % 2, n, 2):
+            surroundings(i, j, choice, heights, edges, around)
+            best = np.inf
+            for k in range(labels):
+                energy[k] = np.inf
+                # far above the best candidate so far, the heat bath would not draw it
+                if errors[i, j, k] < np.inf and errors[i, j, k] < best + 20.0 * temperature:
+                    own = Edges(edges.profiles[i, j, k], edges.drifts[i, j, k])
+                    reach = relief - np.abs(own.profiles).max()
+                    if reach < 0.0:
+                        continue
+                    level[k], cost = best_height(own, around, terms, -reach, reach)
+                    energy[k] = cost + errors[i, j, k]
+                    best = min(best, energy[k])
+            pick = _draw(energy, best, temperature, dice[i, j])
+            moved[i] = max(moved[i], abs(heights[i, j] - level[pick]))
+            choice[i, j], heights[i, j] = pick, level[pick]
+
+
+def heat_bath_sweep(
+    choice: IntArray,
+    heights: FloatArray,
+    errors: FloatArray,
+    edges: Edges,
+    terms: EnergyTerms,
+    relief: float,
+    temperature: float,
+    dice: FloatArray,
+) -> float:
     """One heat-bath sweep over all facets, no neighbours at once: each draws a candidate, and takes its best height.
 
     ``P(k) ~ exp(-E_k / temperature)`` with the candidate's image error plus its energy at its best height, see
@@ -156,31 +197,13 @@ def heat_bath_sweep(choice, heights, errors, edges, terms, relief, temperature, 
     Returns:
         The greatest change of a height, mm.
     """
-    n, _, labels = errors.shape
+    n = len(choice)
     moved = np.zeros(n)
+    state, candidates, chance = (choice, heights), (errors, edges), (temperature, dice)
     for colour in range(4):
-        for row in prange((n + 1 - colour // 2) // 2):
-            i = 2 * np.int64(row) + colour // 2  # prange counts unsigned, which would mix with signed numbers to floats
-            around = np.zeros((4, edges.profiles.shape[4] + 1, 2))
-            energy, level = np.zeros(labels), np.zeros(labels)
-            for j in range(colour % 2, n, 2):
-                surroundings(i, j, choice, heights, edges, around)
-                best = np.inf
-                for k in range(labels):
-                    energy[k] = np.inf
-                    # far above the best candidate so far, the heat bath would not draw it
-                    if errors[i, j, k] < np.inf and errors[i, j, k] < best + 20.0 * temperature:
-                        own = Edges(edges.profiles[i, j, k], edges.drifts[i, j, k])
-                        reach = relief - np.abs(own.profiles).max()
-                        if reach < 0.0:
-                            continue
-                        level[k], cost = best_height(own, around, terms, -reach, reach)
-                        energy[k] = cost + errors[i, j, k]
-                        best = min(best, energy[k])
-                pick = _draw(energy, best, temperature, dice[i, j])
-                moved[i] = max(moved[i], abs(heights[i, j] - level[pick]))
-                choice[i, j], heights[i, j] = pick, level[pick]
-    return moved.max()
+        rows = (n + 1 - colour // 2) // 2
+        in_threads(_sweep_part, rows, colour, state, candidates, terms, relief, chance, moved)
+    return float(moved.max())
 
 
 @njit(cache=True)
@@ -199,33 +222,40 @@ def _draw(energy, best, temperature, die):
     return np.argmin(energy)
 
 
-@njit(cache=True, parallel=True)
-def total_energy(choice, heights, errors, edges, terms):
-    """(3,) image error, light lost at walls, and the even part (step^2 and screening), each summed over the lens.
-
-    The lost light is ``loss * (drift * step / pitch, mean over an edge's points, + drift^2 * step^2 / pitch^2 of
-    corners)``, for steps > 0. Arguments are those of ``heat_bath_sweep``.
-    """
+@njit(cache=True, nogil=True)
+def _energy_part(part, choice, heights, errors, edges, terms, energies):
+    """Part of the rows, see ``total_energy``; energies: (N, 3) zeros, to add to."""
     loss, pitch, even, screening = terms
     n, points = len(choice), edges.profiles.shape[4]
-    parts = np.zeros((n, 3))
-    for row in prange(n):
-        i = np.int64(row)
-        around = np.zeros((4, points + 1, 2))
+    around = np.zeros((4, points + 1, 2))
+    for i in range(part.first, part.end):
         for j in range(n):
             k = choice[i, j]
             surroundings(i, j, choice, heights, edges, around)
-            parts[i, 0] += errors[i, j, k]
-            parts[i, 2] += screening * heights[i, j] ** 2
+            energies[i, 0] += errors[i, j, k]
+            energies[i, 2] += screening * heights[i, j] ** 2
             for e in range(4):
                 # both sides of every edge and corner are visited: count the own loss only, and half of the even part
                 if not np.isnan(around[e, 0, 0]):
                     for q in range(points):
                         step = edges.profiles[i, j, k, e, q] + heights[i, j] - around[e, q, 0]
-                        parts[i, 1] += loss / pitch * edges.drifts[i, j, k, e, q] * max(step, 0.0) / points
-                        parts[i, 2] += 0.5 * even * step * step / points
+                        energies[i, 1] += loss / pitch * edges.drifts[i, j, k, e, q] * max(step, 0.0) / points
+                        energies[i, 2] += 0.5 * even * step * step / points
                 if not np.isnan(around[e, points, 0]):
                     height, drift = _corner(edges.profiles[i, j, k], edges.drifts[i, j, k], e)
                     step = height + heights[i, j] - around[e, points, 0]
-                    parts[i, 1] += loss / pitch**2 * drift * max(step, 0.0) ** 2
-    return parts.sum(axis=0)
+                    energies[i, 1] += loss / pitch**2 * drift * max(step, 0.0) ** 2
+
+
+def total_energy(
+    choice: IntArray, heights: FloatArray, errors: FloatArray, edges: Edges, terms: EnergyTerms
+) -> FloatArray:  # fmt: skip
+    """(3,) image error, light lost at walls, and the even part (step^2 and screening), each summed over the lens.
+
+    The lost light is ``loss * (drift * step / pitch, mean over an edge's points, + drift^2 * step^2 / pitch^2 of
+    corners)``, for steps > 0. Arguments are those of ``heat_bath_sweep``.
+    """
+    energies = np.zeros((len(choice), 3))
+    in_threads(_energy_part, len(choice), choice, heights, errors, edges, terms, energies)
+    total: FloatArray = energies.sum(axis=0)
+    return total

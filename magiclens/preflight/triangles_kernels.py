@@ -6,9 +6,10 @@ from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
 
 from magiclens.contract.artifacts import FloatArray
+from magiclens.kernels.compiler import njit
+from magiclens.kernels.threads import in_threads
 from magiclens.optics.refraction import refract, transmittance
 
 
@@ -29,29 +30,11 @@ class TracedTriangles(NamedTuple):
     through: FloatArray
 
 
-@njit(cache=True, parallel=True)
-def trace_middles(triangles, eye, thickness, gap, ior):
-    """Trace a ray from the eye through the middle g of each triangle, by Snell's and Fresnel's laws, to the source.
-
-    With n the unit normal, d the unit direction of the ray and s = (eye_z - thickness) / (eye_z - g_z), the middle is
-    seen at ``eye + s (g - eye)`` on the reference plane, and the triangle of area A fills ``A (-d . n) s^2 / -d_z``
-    of it. The ray is refracted at the triangle (direction t) and at the flat bottom z = 0 (direction o), and meets the
-    source, at z = -gap, at ``g - t g_z / t_z - o gap / o_z``.
-
-    Args:
-        triangles: (F, 3, 3) corners, mm.
-        eye: (3,) mm.
-        thickness: Height of the reference plane, mm.
-        gap: Distance between flat bottom and source, mm.
-        ior: Index of refraction.
-
-    Returns:
-        TracedTriangles.
-    """
-    count = len(triangles)
-    u, v, area, cosines = np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count)
-    x, y, through = np.zeros(count), np.zeros(count), np.zeros(count)
-    for f in prange(count):
+@njit(cache=True, nogil=True)
+def _trace_part(part, triangles, eye, thickness, gap, ior, traced):
+    """Part of the triangles, see ``trace_middles``; traced: zeros, to fill."""
+    u, v, area, cosines, x, y, through = traced
+    for f in range(part.first, part.end):
         ax, ay, az = float(triangles[f, 0, 0]), float(triangles[f, 0, 1]), float(triangles[f, 0, 2])
         bx, by, bz = float(triangles[f, 1, 0]), float(triangles[f, 1, 1]), float(triangles[f, 1, 2])
         cx, cy, cz = float(triangles[f, 2, 0]), float(triangles[f, 2, 1]), float(triangles[f, 2, 2])
@@ -86,4 +69,26 @@ def trace_middles(triangles, eye, thickness, gap, ior):
         x[f] = gx - tx * gz / tz - ox * gap / oz
         y[f] = gy - ty * gz / tz - oy * gap / oz
         through[f] = weight
-    return TracedTriangles(u, v, area, cosines, x, y, through)
+
+
+def trace_middles(triangles: FloatArray, eye: FloatArray, thickness: float, gap: float, ior: float) -> TracedTriangles:
+    """Trace a ray from the eye through the middle g of each triangle, by Snell's and Fresnel's laws, to the source.
+
+    With n the unit normal, d the unit direction of the ray and s = (eye_z - thickness) / (eye_z - g_z), the middle is
+    seen at ``eye + s (g - eye)`` on the reference plane, and the triangle of area A fills ``A (-d . n) s^2 / -d_z``
+    of it. The ray is refracted at the triangle (direction t) and at the flat bottom z = 0 (direction o), and meets the
+    source, at z = -gap, at ``g - t g_z / t_z - o gap / o_z``.
+
+    Args:
+        triangles: (F, 3, 3) corners, mm.
+        eye: (3,) mm.
+        thickness: Height of the reference plane, mm.
+        gap: Distance between flat bottom and source, mm.
+        ior: Index of refraction.
+
+    Returns:
+        TracedTriangles.
+    """
+    traced = TracedTriangles(*np.zeros((7, len(triangles))))
+    in_threads(_trace_part, len(triangles), triangles, eye, thickness, gap, ior, traced)
+    return traced

@@ -92,9 +92,7 @@ class Mill(Machine):
     cutter: Literal["ball", "flat", "v"] = Field(description="form of the finishing cutter's end")
     diameter: Length = Field(gt=0, description="of the cutter's widest part")
     tip: Length = Field("0.2mm", validate_default=True, ge=0, description="diameter of a v cutter's tip")
-    angle: Angle = Field(
-        "30deg", validate_default=True, gt=0, lt=180, description="between a v cutter's flanks"
-    )
+    angle: Angle = Field("30deg", validate_default=True, gt=0, lt=180, description="between a v cutter's flanks")
     reach: Length = Field(gt=0, description="how deep it gets into a narrow hole before its holder touches")
     stepover: Length = Field(
         "0.02mm", validate_default=True, gt=0, le=5,

@@ -7,9 +7,11 @@ pixel at the border repeats the outermost pixels; beyond the source it is dark.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
 
+from magiclens.contract.artifacts import FloatArray, IntArray
+from magiclens.kernels.compiler import njit
 from magiclens.kernels.sampling import clamped_cell, weighted_look_up
+from magiclens.kernels.threads import in_threads
 
 
 @njit(cache=True)
@@ -21,22 +23,12 @@ def _on_raster(hit, rows, columns, per_mm):
     return inside, ix, iy, fx, fy
 
 
-@njit(cache=True, parallel=True)
-def average_samples(hits, source, per_mm):
-    """Pictures from traced samples: the mean over a pixel's samples of ``transmission * source at the sample``.
-
-    Args:
-        hits: (R, R, S, 3) float32 source point x, y, mm, and transmission of every sample; lens frame.
-        source: (H, W, C) float32 linear light, lens frame.
-        per_mm: source pixels per mm.
-
-    Returns:
-        (R, R, C) float32 linear light.
-    """
+@njit(cache=True, nogil=True)
+def _average_part(part, hits, source, per_mm, out):
+    """Part of the rows, see ``average_samples``."""
     rows, columns, channels = source.shape
-    height, width, samples, _ = hits.shape
-    out = np.zeros((height, width, channels), np.float32)
-    for i in prange(height):
+    _, width, samples, _ = hits.shape
+    for i in range(part.first, part.end):
         for j in range(width):
             for k in range(samples):
                 weight = hits[i, j, k, 2] / samples
@@ -47,28 +39,31 @@ def average_samples(hits, source, per_mm):
                     continue
                 for ch in range(channels):
                     out[i, j, ch] += weight * weighted_look_up(source, iy, ix, ch, fx, fy)
-    return out
 
 
-@njit(cache=True, parallel=True)
-def gather_shares(hits, shape, per_mm, pointers, index, share):
-    """The rows of a sparse matrix: which source pixels each pixel of the picture draws from, and how much.
-
-    A first call, without room for entries, leaves each picture pixel's number of them in ``pointers[1:]``; with these
-    added up, a second call fills ``index`` and ``share``.
+def average_samples(hits: FloatArray, source: FloatArray, per_mm: float) -> FloatArray:
+    """Pictures from traced samples: the mean over a pixel's samples of ``transmission * source at the sample``.
 
     Args:
         hits: (R, R, S, 3) float32 source point x, y, mm, and transmission of every sample; lens frame.
-        shape: rows and columns of the source.
+        source: (H, W, C) float32 linear light, lens frame.
         per_mm: source pixels per mm.
-        pointers: (R * R + 1,) int32, where each picture pixel's entries start.
-        index: (entries,) int32 row-major indices of source pixels, or of length 0.
-        share: (entries,) float32 shares of these pixels, or of length 0.
+
+    Returns:
+        (R, R, C) float32 linear light.
     """
+    out = np.zeros((*hits.shape[:2], source.shape[2]), np.float32)
+    in_threads(_average_part, len(out), hits, source, per_mm, out)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _gather_part(part, hits, shape, per_mm, pointers, index, share):
+    """Part of the rows, see ``gather_shares``."""
     rows, columns = shape
-    height, width, samples, _ = hits.shape
-    for i in prange(height):
-        found, weights = np.zeros(4 * samples, np.int32), np.zeros(4 * samples)
+    _, width, samples, _ = hits.shape
+    found, weights = np.zeros(4 * samples, np.int32), np.zeros(4 * samples)
+    for i in range(part.first, part.end):
         for j in range(width):
             count = 0
             for k in range(samples):
@@ -88,6 +83,25 @@ def gather_shares(hits, shape, per_mm, pointers, index, share):
                 first = pointers[pixel]
                 for n in range(count):
                     index[first + n], share[first + n] = found[n], weights[n]
+
+
+def gather_shares(
+    hits: FloatArray, shape: tuple[int, int], per_mm: float, pointers: IntArray, index: IntArray, share: FloatArray
+) -> None:  # fmt: skip
+    """The rows of a sparse matrix: which source pixels each pixel of the picture draws from, and how much.
+
+    A first call, without room for entries, leaves each picture pixel's number of them in ``pointers[1:]``; with these
+    added up, a second call fills ``index`` and ``share``.
+
+    Args:
+        hits: (R, R, S, 3) float32 source point x, y, mm, and transmission of every sample; lens frame.
+        shape: rows and columns of the source.
+        per_mm: source pixels per mm.
+        pointers: (R * R + 1,) int32, where each picture pixel's entries start.
+        index: (entries,) int32 row-major indices of source pixels, or of length 0.
+        share: (entries,) float32 shares of these pixels, or of length 0.
+    """
+    in_threads(_gather_part, len(hits), hits, shape, per_mm, pointers, index, share)
 
 
 @njit(cache=True)

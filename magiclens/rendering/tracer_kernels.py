@@ -11,10 +11,14 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
 
+from magiclens.contract.artifacts import FloatArray
+from magiclens.kernels.compiler import njit
 from magiclens.kernels.sampling import rotated_grid
+from magiclens.kernels.threads import in_threads
+from magiclens.optics.medium import Slab
 from magiclens.optics.refraction import refract, transmittance
+from magiclens.rendering.grid import Grid
 
 _MOST_EVENTS = 8
 """Number of refractions and reflections after which a path counts as lost."""
@@ -47,8 +51,22 @@ class PictureRows(NamedTuple):
     end: int
 
 
-@njit(cache=True, parallel=True)
-def trace_rows(grid, slab, eye, rows):
+@njit(cache=True, nogil=True)
+def _trace_part(part, grid, slab, eye, rows, hits):
+    """Part of the rows, see ``trace_rows``; hits: to fill."""
+    samples = rows.samples
+    pixel = rows.size / rows.resolution
+    for row in range(part.first, part.end):
+        i = rows.first + row
+        for j in range(rows.resolution):
+            for k in range(samples * samples):
+                right, down = rotated_grid(k, samples)
+                qx, qy = (j + right) * pixel - 0.5 * rows.size, 0.5 * rows.size - (i + down) * pixel
+                x, y, weight = _follow(grid, slab, eye, qx, qy)
+                hits[row, j, k, 0], hits[row, j, k, 1], hits[row, j, k, 2] = x, y, weight
+
+
+def trace_rows(grid: Grid, slab: Slab, eye: FloatArray, rows: PictureRows) -> FloatArray:
     """``_follow`` the path of every sample of a picture's rows.
 
     Args:
@@ -60,17 +78,8 @@ def trace_rows(grid, slab, eye, rows):
     Returns:
         (rows, resolution, samples^2, 3) float32: source point x, y, mm, lens frame, and transmission.
     """
-    samples = rows.samples
-    hits = np.zeros((rows.end - rows.first, rows.resolution, samples * samples, 3), np.float32)
-    pixel = rows.size / rows.resolution
-    for row in prange(rows.end - rows.first):
-        i = rows.first + np.int64(row)  # prange counts unsigned
-        for j in range(rows.resolution):
-            for k in range(samples * samples):
-                right, down = rotated_grid(k, samples)
-                qx, qy = (j + right) * pixel - 0.5 * rows.size, 0.5 * rows.size - (i + down) * pixel
-                x, y, weight = _follow(grid, slab, eye, qx, qy)
-                hits[row, j, k, 0], hits[row, j, k, 1], hits[row, j, k, 2] = x, y, weight
+    hits = np.zeros((rows.end - rows.first, rows.resolution, rows.samples**2, 3), np.float32)
+    in_threads(_trace_part, len(hits), grid, slab, eye, rows, hits)
     return hits
 
 
@@ -101,7 +110,8 @@ def _follow(grid, slab, eye, qx, qy):
     r, c = _cell(vs, v0, True), _cell(us, u0, False)
     if w0 < max(ws[r, c], ws[r, c + 1], ws[r + 1, c], ws[r + 1, c + 1]) and at > 0.0:
         return 0.0, 0.0, 0.0  # it meets the slab's side
-    inside, weight, half = False, 1.0, _EITHER
+    # the ray goes down, so it is not inside; numba would compile the march apart for literals
+    inside, weight, half = dz > 0.0, 1.0, np.int64(_EITHER)
     for _ in range(_MOST_EVENTS):
         if dz == 0.0:
             break

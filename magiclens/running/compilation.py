@@ -8,6 +8,7 @@ compiled when it is called.
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -66,11 +67,11 @@ def compiling_ahead(spec: Path, overrides: Sequence[str], observer: Observer) ->
 def compile_all_kernels() -> None:
     """Compile the kernels that the built-in stages of a design need, in two processes side by side."""
     with TemporaryDirectory() as folder:
-        for k, text in enumerate(_SPECS):
-            spec = Path(folder, f"{k}.yaml")
+        specs = [Path(folder, f"{k}.yaml") for k in range(len(_SPECS))]
+        for spec, text in zip(specs, _SPECS, strict=True):
             spec.write_text(text, encoding="utf-8")
-            for child in [_start_child(spec, (), parts) for parts in (_EARLY, _LATE)]:
-                child.communicate()
+        for child in [_start_child(specs, (), parts) for parts in (_EARLY, _LATE)]:
+            child.communicate()
 
 
 class _CompilationAhead(Observer):
@@ -78,7 +79,7 @@ class _CompilationAhead(Observer):
 
     def __init__(self, spec: Path, overrides: Sequence[str], observer: Observer):
         self._observer = observer
-        self._start = partial(_start_child, spec, overrides, _LATE)
+        self._start = partial(_start_child, [spec], overrides, _LATE)
         self._child: subprocess.Popen[str] | None = None
 
     def started(self, name: str, facets: int) -> None:
@@ -133,18 +134,18 @@ def _listener(compiling: Callable[[], None]) -> Any:
     return KernelListener()
 
 
-def _start_child(spec: Path, overrides: Sequence[str], parts: Sequence[str]) -> subprocess.Popen[str]:
-    """A process that does ``compile_parts``; its standard output names the parts that are done."""
-    command = [sys.executable, "-m", __name__, str(spec), ",".join(parts), *overrides]
+def _start_child(specs: Sequence[Path], overrides: Sequence[str], parts: Sequence[str]) -> subprocess.Popen[str]:
+    """A process that does ``compile_parts`` for specs; its standard output names the parts that are done."""
+    command = [sys.executable, "-m", __name__, ",".join(parts), os.pathsep.join(map(str, specs)), *overrides]
     nothing = subprocess.DEVNULL
     return subprocess.Popen(command, stdin=nothing, stdout=subprocess.PIPE, stderr=nothing, text=True)
 
 
-def compile_parts(spec: str, parts: str, *overrides: str) -> None:
+def compile_parts(parts: Sequence[str], spec: Path, overrides: Sequence[str] = ()) -> None:
     """Compile the kernels of some parts of a run, and print the name of each part that is done."""
     plan = load_plan(spec, overrides)
     scene = small_scene(plan)
-    for part in parts.split(","):
+    for part in parts:
         # a part that fails on so small a lens is compiled by the run, which reports what is wrong, if anything is
         with suppress(Exception):
             _PARTS[part](plan, scene)
@@ -227,4 +228,5 @@ _LATE = ("refine", "render", "inspect", "analyse")
 
 
 if __name__ == "__main__":
-    compile_parts(*sys.argv[1:])
+    for path in sys.argv[2].split(os.pathsep):
+        compile_parts(sys.argv[1].split(","), Path(path), sys.argv[3:])

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+
+from magiclens.contract.artifacts import FloatArray
+from magiclens.kernels.compiler import njit
+from magiclens.kernels.threads import in_threads
 
 
-@njit(cache=True, parallel=True)
-def dilated(z, shape):
-    """out[i, j] = max over (a, b) of z[i + a, j + b] - shape[a + n, b + n].
-
-    Args:
-        z: (rows, columns) float32, mm.
-        shape: (2 n + 1, 2 n + 1) float32, how high the cutter's surface is above its tip, mm; inf where it has none.
-    """
+@njit(cache=True, nogil=True)
+def _dilated_part(part, z, shape, out):
+    """Part of the rows, see ``dilated``."""
     rows, columns = z.shape
     n = len(shape) // 2
-    out = np.full_like(z, -np.inf)
-    for each in prange(rows):
-        row = np.int64(each)  # prange counts unsigned
+    for row in range(part.first, part.end):
         line = out[row]
         for a in range(-n, n + 1):
             if not 0 <= row + a < rows:
@@ -29,4 +25,15 @@ def dilated(z, shape):
                     continue
                 for column in range(max(0, -b), min(columns, columns - b)):
                     line[column] = max(line[column], z[row + a, column + b] - rise)
+
+
+def dilated(z: FloatArray, shape: FloatArray) -> FloatArray:
+    """out[i, j] = max over (a, b) of z[i + a, j + b] - shape[a + n, b + n].
+
+    Args:
+        z: (rows, columns) float32, mm.
+        shape: (2 n + 1, 2 n + 1) float32, how high the cutter's surface is above its tip, mm; inf where it has none.
+    """
+    out = np.full_like(z, -np.inf)
+    in_threads(_dilated_part, len(z), z, shape, out)
     return out

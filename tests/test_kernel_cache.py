@@ -1,0 +1,74 @@
+"""Compiled kernels are kept, and never used once the sources have changed."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import magiclens
+from magiclens.kernels.cache_folder import cache_folder
+
+PACKAGE = Path(magiclens.__file__).parent
+ADD = "from magiclens.kernels.compiler import njit\n\n\n@njit(cache=True)\ndef add(a, b):\n    return a + b\n"
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """A package of three files."""
+    folder = tmp_path / "package"
+    folder.mkdir()
+    (folder / "plain.py").write_text("x = 1\n", encoding="utf-8")
+    (folder / "kernels.py").write_text(ADD, encoding="utf-8")
+    (folder / "tuples.py").write_text("class Facets(NamedTuple): ...\n", encoding="utf-8")
+    return folder
+
+
+@pytest.mark.parametrize("file", ["kernels.py", "tuples.py"])
+def test_another_state_of_what_kernels_are_made_of_has_another_folder(package: Path, file: str) -> None:
+    before = cache_folder(package)
+    assert cache_folder(package) == before
+    path = package / file
+    path.write_text(path.read_text(encoding="utf-8").replace("a", "e"), encoding="utf-8")
+    assert cache_folder(package) != before
+
+
+def test_other_files_make_no_difference(package: Path) -> None:
+    before = cache_folder(package)
+    (package / "plain.py").write_text("x = 2\n", encoding="utf-8")
+    assert cache_folder(package) == before
+
+
+def test_all_kernels_are_compiled_into_that_folder() -> None:
+    importing = {
+        path.relative_to(PACKAGE).as_posix()
+        for path in PACKAGE.rglob("*.py")
+        if re.search(r"(from numba import|import numba)[^\n]*\b(njit|jit|numba)\b", path.read_text(encoding="utf-8"))
+    }
+    assert importing == {"kernels/compiler.py"}
+
+
+def test_folders_that_nobody_uses_are_removed(tmp_path: Path) -> None:
+    old, recent, other = (tmp_path / name for name in ("kernels-old", "kernels-recent", "mine"))
+    for folder in (old, recent, other):
+        folder.mkdir()
+    for folder in (old, other):
+        os.utime(folder, (time.time() - 40 * 86400,) * 2)
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", "import magiclens.kernels.compiler"], env=environment, check=True)
+    left = {path.name for path in tmp_path.iterdir()}
+    assert left == {"kernels-recent", "mine", cache_folder().name}
+
+
+def test_a_folder_that_cannot_be_made_stops_nothing(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "kernel.py").write_text(ADD + "\n\nprint(add(2, 3))\n", encoding="utf-8")
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "file" / "cache")}
+    command = [sys.executable, str(tmp_path / "kernel.py")]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout == "5\n"
