@@ -54,6 +54,7 @@ SMALL: dict[str, tuple[str, ...]] = {
         HEART,
         "scenario.source.size=29mm",
         "scenario.cone=3deg",
+        "pipeline.renderers=[{type: tracer, resolution: 48, samples: 4}]",
         "report.analyses=[contact-sheet]",
     ),
     "universal-animation": ("scenario.frames={art: worm, length: 2}", "lens.microfacets=24"),

@@ -49,6 +49,7 @@ def commands(page: Path) -> list[str]:
 WITH_COMMANDS = [page for page in PAGES if commands(page)]
 
 
+@pytest.mark.tools
 @pytest.mark.parametrize("page", WITH_COMMANDS, ids=[page.stem for page in WITH_COMMANDS])
 def test_commands_work_as_they_are_written(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

@@ -136,6 +136,7 @@ def test_the_notebook_in_the_docs_has_run() -> None:
     assert "base64" in cells[0].outputs[0].data["text/html"]
 
 
+@pytest.mark.tools
 def test_the_notebook_in_the_docs_runs(tmp_path: Path) -> None:
     notebook = nbformat.read(NOTEBOOK, 4)
     size = '"facets": 20, "microfacets": 12'

@@ -72,6 +72,7 @@ def run(site: Path, *arguments: str | Path) -> str:
     return done.stdout
 
 
+@pytest.mark.tools
 def test_the_contract_tests_of_every_generated_plugin_are_green(plugins: Path, site: Path) -> None:
     flags = ["-q", "-rA", "--import-mode=importlib", "-p", "no:cacheprovider", f"--rootdir={plugins}"]
     said = run(site, "pytest", *flags, plugins)
@@ -82,6 +83,7 @@ def test_the_contract_tests_of_every_generated_plugin_are_green(plugins: Path, s
         assert kind == "page" or {"test_a_spec_can_pick_it"} < {name for name in names if name.startswith("test_")}
 
 
+@pytest.mark.tools
 def test_every_generated_plugin_is_listed_with_its_package(site: Path) -> None:
     listing = run(site, "magiclens", "plugins")
     assert "failures" not in listing
