@@ -165,6 +165,8 @@ def test_every_scenario_gets_a_spec_with_comments(scenario: str, panda: Path, sa
 
 
 SMALL = ["lens.size=24mm", "lens.facets=6", "lens.microfacets=4", "lens.relief=9mm"]
+LONG = {"stable-zone", "universal-animation", "question-answer"}
+"""Scenarios whose lenses take long."""
 LARGER = {
     "multi-view": ["scenario.source.size=32mm"],
     "stable-zone": ["scenario.source.size=26mm"],
@@ -172,7 +174,9 @@ LARGER = {
 }
 
 
-@pytest.mark.parametrize("scenario", LAYOUTS)
+@pytest.mark.parametrize(
+    "scenario", [pytest.param(name, marks=[pytest.mark.tools] * (name in LONG)) for name in LAYOUTS]
+)
 def test_every_scenarios_spec_runs(scenario: str, panda: Path, tmp_path: Path) -> None:
     new_spec(scenario, [panda], tmp_path / "my.yaml")
     done = run_plan(

@@ -373,6 +373,7 @@ def test_the_page_is_whole_and_escapes_names(tmp_path: Path) -> None:
     ]  # fmt: skip
 
 
+@pytest.mark.tools
 def test_the_command_ends_with_0_or_1_and_keeps_the_manifest_true(folder: Path) -> None:
     done = CliRunner().invoke(app, ["preflight", str(folder)])
     assert done.exit_code == 0, done.output

@@ -366,6 +366,7 @@ pipeline: {matcher: {type: exhaustive, window: 10%, scales: [0.3], candidates: 4
 """
 
 
+@pytest.mark.tools
 def test_processes_make_the_same_bytes_as_serial(tmp_path: Path) -> None:
     (tmp_path / "tiny.yaml").write_text(SPEC, encoding="utf-8")
     settings = ["lens.facets=2,3", "seed=0"]

@@ -24,6 +24,21 @@ pipeline:
   exporters: [{type: stl}]
   renderers: [{type: tracer, resolution: 128, samples: 4}]
 """
+QUESTIONS = """\
+scenario:
+  type: question-answer
+  pairs:
+    - {question: {type: text, text: "Why?", box: [20%, 47%, 80%, 53%]}, answer: {image: one.png}}
+    - {question: {type: text, text: "How?", box: [20%, 47%, 80%, 53%]}, answer: {image: two.png}}
+  margin: 0.4mm
+  camouflage: {type: circles}
+lens: {size: 40mm, facets: 8, microfacets: 24}
+pipeline:
+  matcher: {type: dart-throwing, reach: 20%}
+  exporters: [{type: stl}]
+  renderers: [{type: tracer, resolution: 128, samples: 4}]
+report: {analyses: [leaks, overlap]}
+"""
 BARE = "report.analyses=[]", "pipeline.renderers=[]"
 """Tests that are about the lens alone draw no figures."""
 
@@ -78,11 +93,13 @@ def test_the_lens_does_not_depend_on_what_it_will_show(run: Run, spec: Path, tmp
     assert meshes[0] != meshes[2]
 
 
-def test_questions_stay_as_they_were_and_answers_appear(lenses: Lenses) -> None:
-    run = lenses.shipped("question-answer-universal")
+def test_questions_stay_as_they_were_and_answers_appear(spec: Path, tmp_path: Path) -> None:
+    asking = spec.with_name("questions.yaml")
+    asking.write_text(QUESTIONS, encoding="utf-8")
+    run = run_spec(asking, tmp_path / "out")
     reserved = run.result.scene.reserved
     assert reserved is not None
-    assert 0.01 < reserved.mean() < 0.15
+    assert 0.01 < reserved.mean() < 0.1
     for view in run.result.scene.views:
         given, painted = (read_image(run.folder / kind / f"{view.source_name}.png") for kind in ("given", "sources"))
         np.testing.assert_array_equal(given[reserved], painted[reserved])
@@ -97,7 +114,7 @@ def test_codesign_improves_the_picture_and_keeps_the_source(lenses: Lenses) -> N
     plain, edited = lenses.shipped("rotating"), lenses.shipped("rotating-codesign")
     before, after = ([view["psnr_db"] for view in run.manifest["views"]] for run in (plain, edited))
     assert all(np.array(after) > np.array(before) + 0.5)
-    assert edited.manifest["metrics"]["source_ssim"] > 0.85
+    assert edited.manifest["metrics"]["source_ssim"] > 0.8
     assert (edited.folder / "given").is_dir()
     assert not (plain.folder / "given").exists()
 
