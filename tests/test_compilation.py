@@ -92,6 +92,12 @@ def test_no_part_fails_on_the_small_lens(part: str, spec: Path) -> None:
     compilation._PARTS[part](plan, small_scene(plan))
 
 
+@pytest.mark.parametrize("text", compilation._SPECS)
+def test_specs_that_need_all_kernels_are_right(text: str, tmp_path: Path) -> None:
+    (tmp_path / "all.yaml").write_text(text, encoding="utf-8")
+    assert load_plan(tmp_path / "all.yaml").matcher.stage.type in ("exhaustive", "multi-view", "dart-throwing")
+
+
 def test_the_child_names_the_parts_that_are_done(spec: Path) -> None:
     command = [sys.executable, "-m", "magiclens.running.compilation", "inspect,match", str(spec)]
     done = subprocess.run(command, capture_output=True, text=True, check=True, env=os.environ.copy())

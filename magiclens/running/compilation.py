@@ -32,12 +32,16 @@ if TYPE_CHECKING:
     from numba.core.event import Event
 
 _NOTICE = "compiling kernels, once: the next run starts at once"
-_SPECS = (
-    "scenario: {type: single, source: {type: circles}, target: {art: heart}}\nfabrication: {machine: printing}",
-    "scenario: {type: stable-zone, source: {type: circles}, target: {art: heart}, cone: 1deg}",
-    "scenario: {type: universal-animation, frames: {art: worm, length: 1}}",
+_EYES = "{target: {art: heart}, eye: {tilt: 9deg}}, {target: {art: star}, eye: {tilt: 9deg, azimuth: 180deg}}"
+_SPECS = tuple(
+    f"{scenario}\npipeline: {{renderers: [{{type: tracer, resolution: 64}}]}}"
+    for scenario in (
+        "scenario: {type: single, source: {type: circles}, target: {art: heart}}",
+        f"scenario: {{type: multi-view, source: {{type: circles, size: 110mm}}, views: [{_EYES}]}}",
+        "scenario: {type: universal-animation, frames: {art: worm, length: 1}}",
+    )
 )
-"""One spec for every matcher, and so for all kernels that a design may need."""
+"""One spec for every matcher, and so for all kernels that a design may need; their pictures take little time."""
 _SIDE = 2
 """Facets along one side of the small lens: some kernels run only between facets."""
 
