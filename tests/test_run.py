@@ -321,28 +321,6 @@ def test_an_older_run_survives_a_run_that_fails(run: Runner) -> None:
     assert files(run("out").folder).keys() == before.keys()
 
 
-def test_an_older_run_is_replaced_by_a_finished_one(run: Runner) -> None:
-    older = run("out", "pipeline.renderers=[{type: toy}]").folder
-    (older / "left over").touch()
-    newer = run("out").folder
-    assert "left over" not in files(newer)
-    assert [p.name for p in newer.parent.iterdir()] == ["out"]
-
-
-def test_a_folder_that_is_no_run_is_not_touched(run: Runner, tmp_path: Path) -> None:
-    precious = tmp_path / "runs" / "out" / "precious.txt"
-    precious.parent.mkdir(parents=True)
-    precious.touch()
-    with pytest.raises(InputError, match="is there already and is not a run folder; choose another --out"):
-        run("out")
-    assert precious.exists()
-
-
-def test_an_empty_folder_may_be_filled(run: Runner, tmp_path: Path) -> None:
-    (tmp_path / "runs" / "out").mkdir(parents=True)
-    assert (run("out").folder / "manifest.json").exists()
-
-
 def test_run_folders_have_ordinary_permissions(run: Runner) -> None:
     mask = os.umask(0o022)
     try:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import json
 import os
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -250,6 +252,15 @@ def test_a_sweep_goes_into_no_strange_place(sweep: Sweeper, tmp_path: Path, stra
         sweep("lens.facets=2,3")
 
 
+FILLING = """
+import os, sys
+from pathlib import Path
+from magiclens.running.replacing import atomic_folder
+with atomic_folder(Path(sys.argv[1])):
+    os.kill(os.getpid(), 9)
+"""
+
+
 class Interrupted(Serial):
     """Ends after its first item, as a user who has seen enough does; what a killed process leaves is there."""
 
@@ -258,7 +269,8 @@ class Interrupted(Serial):
     def map(self, function: Callable[[Any], Any], items: Any) -> Iterator[Any]:
         first, second = items
         yield function(first)
-        (Path(second.out).parent / f".{Path(second.out).name}-abcd").mkdir()
+        subprocess.run([sys.executable, "-c", FILLING, second.out], check=False)
+        assert list(Path(second.out).parent.glob(".mlens-*"))
         raise KeyboardInterrupt
 
 

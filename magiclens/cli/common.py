@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
-from magiclens.contract.errors import MagicLensError, Terminated
+from magiclens.contract.errors import MagicLensError
 
 if TYPE_CHECKING:
     from magiclens.contract.executors import Executor
@@ -129,12 +129,3 @@ def print_note(text: str) -> None:
 
 def print_no_note(_: str) -> None:
     """Stand in for ``print_note`` where nothing is to be printed."""
-
-
-def end_on_sigterm() -> None:
-    """Let SIGTERM end the process as an exception does, so that unfinished run folders are removed."""
-    signal.signal(signal.SIGTERM, _terminated)
-
-
-def _terminated(*_: Any) -> NoReturn:
-    raise Terminated(128 + signal.SIGTERM)

@@ -15,7 +15,6 @@ from magiclens.cli.common import (
     SpecFile,
     Traceback,
     chosen_executor,
-    end_on_sigterm,
     print_no_note,
     print_note,
     print_result,
@@ -51,6 +50,7 @@ def sweep_command(
     Combinations that are finished are not run again. Exit code 1: some failed, the sheet says why.
     """
     with reporting(traceback):
+        from magiclens.running.termination import end_on_sigterm
         from magiclens.sweep.sweeping import sweep_spec
         from magiclens.sweep.table import sweep_data, sweep_text
 
@@ -76,6 +76,7 @@ def gallery_command(
 ) -> None:
     """Build a static site of all lenses on LIST, with the documentation. What is up to date is not made again."""
     with reporting(traceback):
+        from magiclens.running.termination import end_on_sigterm
         from magiclens.web.gallery.build import build_gallery
 
         end_on_sigterm()

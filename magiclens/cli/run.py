@@ -15,7 +15,6 @@ from magiclens.cli.common import (
     Quiet,
     SpecFile,
     Traceback,
-    end_on_sigterm,
     print_result,
     reporting,
 )
@@ -39,6 +38,7 @@ def run_command(
         from magiclens.running.compilation import compiling_ahead
         from magiclens.running.observers import Observer, terminal_observer
         from magiclens.running.pipeline import run_spec
+        from magiclens.running.termination import end_on_sigterm
 
         end_on_sigterm()
         # progress goes to standard error, so that standard output holds the result alone

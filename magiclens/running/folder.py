@@ -1,13 +1,10 @@
-"""Run folders and the files in them: written whole or not at all, and read back."""
+"""Run folders: where they may be written, and the files in them that are read back."""
 
 from __future__ import annotations
 
+import json
 import math
 import os
-import shutil
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +13,7 @@ from magiclens.contract.artifacts import FloatArray, Lens, Solid, Transport, Vie
 from magiclens.contract.errors import InputError
 
 MANIFEST = "manifest.json"
-"""File that describes a run; a folder is a run folder if and only if this file is in it."""
+"""File that describes a run, see ``is_run_manifest``."""
 HEIGHTS = "heights.npz"
 """File with the heights of the finished lens's top, from which the lens is traced again without a new design."""
 _TRANSPORTS = "transports"
@@ -24,47 +21,50 @@ _TRANSPORTS = "transports"
 eye's first view."""
 
 
-@contextmanager
-def atomic_folder(out: Path) -> Iterator[Path]:
-    """Yield an empty folder to fill, which becomes ``out`` if the block succeeds and is deleted if it fails.
+OF_SYSTEMS = frozenset({".DS_Store", "Thumbs.db", "desktop.ini"})
+"""Files that operating systems leave in folders that somebody has looked at; nobody misses them."""
 
-    An older run folder at ``out`` is replaced at the end of a block that succeeds, not before.
+
+def place_for(out: Path, option: str = "--out") -> Path:
+    """Where a run folder for ``out`` is written: the same path, without links.
 
     Raises:
-        InputError: ``out`` exists and is neither empty nor a run folder, or its parent cannot be written to.
+        InputError: Something is there that must not be replaced: a file, a folder that no run has made, files in a run
+            folder that the run has not made, the working folder, a link to nothing.
     """
-    out = out.absolute()
-    _check_replaceable(out)
-    partial = _new_hidden_folder(out)
-    try:
-        yield partial
-        out.parent.mkdir(parents=True, exist_ok=True)
-        _move_into_place(partial, out)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+    if out.is_symlink() and not out.exists():
+        raise InputError(f"'{out}' is a link to nothing; choose another {option}", option)
+    place = out.resolve()
+    if not place.exists():
+        _check_writable(place, option)
+        return place
+    if not place.is_dir():
+        raise InputError(f"'{out}' is there already and is not a run folder; choose another {option}", option)
+    if place == Path.cwd() or place in Path.cwd().parents or os.path.ismount(place):
+        raise InputError(f"'{out}' is in use as a folder and cannot be replaced; choose another {option}", option)
+    strangers = _not_of_the_run(place)
+    if strangers is None:
+        raise InputError(f"'{out}' is there already and is not a run folder; choose another {option}", option)
+    if strangers:
+        more = f" and {len(strangers) - 1} more" if len(strangers) > 1 else ""
+        raise InputError(
+            f"'{out}' is an older run, but '{strangers[0]}'{more} is not of it and would be lost; "
+            f"move it away or choose another {option}",
+            option,
+        )
+    _check_writable(place, option)
+    return place
 
 
-@contextmanager
-def atomic_file(path: Path) -> Iterator[Path]:
-    """Yield a path to write a file to, which replaces ``path`` if the block succeeds and is deleted if it fails."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=f".{path.name}-", dir=path.parent) as scratch:
-        partial = Path(scratch, path.name)
-        yield partial
-        os.replace(partial, path)
-
-
-@contextmanager
-def atomic_subfolder(path: Path) -> Iterator[Path]:
-    """Yield an empty folder to fill, which replaces ``path`` if the block succeeds and is deleted if it fails.
-
-    Unlike with ``atomic_folder``, whatever was at ``path`` is replaced: it is a folder in a run folder.
-    """
-    with tempfile.TemporaryDirectory(prefix=f".{path.name}-", dir=path.parent) as scratch:
-        partial = Path(scratch, path.name)
-        partial.mkdir()
-        yield partial
-        _move_into_place(partial, path)
+def is_run_manifest(manifest: object) -> bool:
+    """Whether JSON is the manifest of a run, and not that of something else: many programs call a file that."""
+    return (
+        isinstance(manifest, dict)
+        and isinstance(manifest.get("format"), int)
+        and isinstance(manifest.get("spec_sha256"), str)
+        and isinstance(manifest.get("artifacts"), list)
+        and all(isinstance(each, dict) and isinstance(each.get("path"), str) for each in manifest["artifacts"])
+    )
 
 
 def save_heights(solid: Solid, lens: Lens, folder: Path) -> None:
@@ -114,35 +114,26 @@ def load_transport(view: View, folder: Path) -> Transport | None:
     return Transport(matrix, (side, side), (view.source.shape[0], view.source.shape[1]))
 
 
-def _check_replaceable(out: Path) -> None:
-    """Raise InputError unless there is nothing at ``out``, or an empty folder, or an older run."""
-    if out.is_dir() and ((out / MANIFEST).is_file() or not any(out.iterdir())):
-        return
-    if out.exists():
-        raise InputError(f"'{out}' is there already and is not a run folder; choose another --out", "--out")
-
-
-def _new_hidden_folder(out: Path) -> Path:
-    """Make a hidden folder in the nearest existing parent of ``out``: on the same disk, so that renaming is atomic."""
-    above = next(p for p in out.parents if p.exists())
+def _not_of_the_run(folder: Path) -> list[str] | None:
+    """What a run folder holds that its manifest does not list; None if it is none and not empty."""
+    found = [path for path in sorted(folder.rglob("*")) if path.is_symlink() or not path.is_dir()]
+    if not found:
+        return []
     try:
-        partial = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=above))
-    except OSError as error:
-        raise InputError(f"cannot write in '{above}': {error.strerror}", "--out") from None
-    partial.chmod(0o777 & ~_umask())  # mkdtemp makes folders that only their owner may read
-    return partial
+        manifest = json.loads((folder / MANIFEST).read_bytes())
+    except (OSError, ValueError):
+        return None
+    if not is_run_manifest(manifest):
+        return None
+    listed = {MANIFEST, *(artifact["path"] for artifact in manifest["artifacts"])}
+    names = [path.relative_to(folder).as_posix() for path in found if path.name not in OF_SYSTEMS]
+    return [name for name in names if name not in listed or (folder / name).is_symlink()]
 
 
-def _umask() -> int:
-    mask = os.umask(0)  # the mask can be read only by setting it
-    os.umask(mask)
-    return mask
-
-
-def _move_into_place(partial: Path, out: Path) -> None:
-    """Rename the finished folder to ``out``, and delete an older folder that was there."""
-    old = partial.with_name(f"{partial.name}-old")
-    if out.exists():
-        out.rename(old)
-    partial.rename(out)
-    shutil.rmtree(old, ignore_errors=True)
+def _check_writable(place: Path, option: str) -> None:
+    """Raise InputError unless the folder can be made: this is better known before a run than after it."""
+    above = next(folder for folder in place.parents if folder.exists())
+    if not above.is_dir():
+        raise InputError(f"'{above}' is a file; choose another {option}", option)
+    if not os.access(above, os.W_OK | os.X_OK):
+        raise InputError(f"cannot write in '{above}'; choose another {option}", option)

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 from magiclens.config.fields import Inputs
 from magiclens.contract.artifacts import Scene, View
 from magiclens.plan.compile import Plan, Step
-from magiclens.running.folder import MANIFEST, atomic_file
+from magiclens.running.folder import MANIFEST
+from magiclens.running.replacing import atomic_file
 
 if TYPE_CHECKING:
     from magiclens.images.score import Score

@@ -12,9 +12,9 @@ from magiclens.milling.program import MillingProgram
 from magiclens.plan.blame import blaming
 from magiclens.plan.compile import Plan
 from magiclens.plan.registry import Registry
-from magiclens.running.folder import atomic_subfolder
 from magiclens.running.manifest import refresh_manifest
 from magiclens.running.open_run import OpenRun, open_run
+from magiclens.running.replacing import atomic_folder
 
 MACHINED = "machined"
 """The folder of a run with the pictures of the machined lens."""
@@ -125,7 +125,7 @@ def _write_pictures(lens: OpenRun, programs: Sequence[MillingProgram]) -> dict[s
 
     scene = lens.plan.on_medium(lens.printed_scene)
     cut, polished = seen_as_machined(scene, lens.solid, programs)
-    with atomic_subfolder(lens.folder / MACHINED) as pictures:
+    with atomic_folder(lens.folder / MACHINED) as pictures:
         for k, view in enumerate(scene.views):
             write_png(pictures / f"{view.name}.png", cut[k])
             write_png(pictures / f"{view.name}-polished.png", polished[k])

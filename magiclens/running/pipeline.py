@@ -21,9 +21,10 @@ from magiclens.plan.blame import blaming
 from magiclens.plan.compile import Plan, PlannedAnalysis, Step, compile_plan, load_plan
 from magiclens.plan.registry import Registry
 from magiclens.running.design import Designer
-from magiclens.running.folder import atomic_folder, save_heights
+from magiclens.running.folder import place_for, save_heights
 from magiclens.running.manifest import ScoresByRenderer, build_manifest, spec_text, write_manifest
 from magiclens.running.observers import Observer
+from magiclens.running.replacing import atomic_folder
 from magiclens.running.steps import QuietSteps, Steps
 from magiclens.running.writing import (
     copy_inputs,
@@ -121,18 +122,19 @@ def run_spec(
 def run_plan(plan: Plan, out_dir: str | Path, observer: Observer | None = None) -> Run:
     """Run a plan and write its run folder, which appears only when everything in it is finished.
 
-    Equal plans give equal files, but for the timings in ``manifest.json``.
+    Equal plans give equal files, but for the timings in ``manifest.json``. An older run at ``out_dir`` is replaced.
 
     Raises:
-        InputError: The spec asks for what cannot be.
+        InputError: The spec asks for what cannot be, or something at ``out_dir`` would be lost, see ``place_for``.
         StageError: A stage failed or broke its contract.
     """
     out, observer = Path(out_dir), observer or Observer()
+    place = place_for(out)
     steps = Steps(plan, observer)
     for failure in plan.registry.failures:
         observer.notice(f"{failure}; see 'mlens plugins'")
     try:
-        with atomic_folder(out) as folder:
+        with atomic_folder(place, observer.notice) as folder:
             result = _make(plan, folder, steps)
             whole = write_manifest(folder, result.manifest, steps.timings())
         steps.tell("mlens_run_done", folder=out, manifest=whole)

@@ -13,6 +13,7 @@ from magiclens.contract.stages import Progress
 from magiclens.plan.blame import Blamed, blaming
 from magiclens.plan.compile import Plan, Step
 from magiclens.running.observers import Observer
+from magiclens.running.termination import raise_if_terminated
 
 T = TypeVar("T")
 
@@ -34,9 +35,11 @@ class Steps:
             work: What is done.
             facets: On how many facets, for rates; 0 if their number does not matter.
         """
+        raise_if_terminated()
         self._observer.started(name, facets)
         began = perf_counter()
         result = work()
+        raise_if_terminated()
         seconds = perf_counter() - began
         self._seconds[name] += seconds
         self._observer.finished(name, seconds)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import glob
 import os
-import shutil
 import tempfile
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
@@ -19,6 +17,7 @@ from magiclens.plan.compile import load_plan
 from magiclens.plan.registry import Registry
 from magiclens.running.folder import MANIFEST
 from magiclens.running.jobs import RunJob, finished_manifest, run_job
+from magiclens.running.replacing import clear_leftovers
 from magiclens.sweep.combine import Combination, combinations
 from magiclens.sweep.page import combination_pictures, sweep_image, sweep_page
 from magiclens.sweep.results import Sweep, SweepResult
@@ -99,8 +98,7 @@ def _result(combination: Combination, made: Mapping[str, Any] | Exception) -> Sw
 def _clear(folder: Path, due: list[Combination]) -> None:
     """Remove unfinished folders of processes that were killed, and the sweep's folder if nothing was finished."""
     for one in due:
-        for partly in folder.glob(f".{glob.escape(one.folder)}-*"):
-            shutil.rmtree(partly, ignore_errors=True)
+        clear_leftovers(folder / one.folder)
     # rmdir fails on a folder that is not empty
     with suppress(OSError):
         folder.rmdir()

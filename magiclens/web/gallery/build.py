@@ -12,8 +12,8 @@ from magiclens.contract.errors import InputError
 from magiclens.contract.executors import Executor
 from magiclens.pages.templating import template_text
 from magiclens.plan.registry import Registry
-from magiclens.running.folder import atomic_file
 from magiclens.running.jobs import RunJob
+from magiclens.running.replacing import atomic_file
 from magiclens.web.gallery.docs import DOCS_FOLDER, DocPage, Library, doc_page, doc_paths, normal_path
 from magiclens.web.gallery.gallery_list import GalleryList, load_gallery
 from magiclens.web.gallery.lens import LensPage, lens_page

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from magiclens.contract.errors import InputError
-from magiclens.running.folder import atomic_file
+from magiclens.running.replacing import atomic_file
 
 if TYPE_CHECKING:
     from PIL.Image import Image

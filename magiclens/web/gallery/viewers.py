@@ -9,7 +9,8 @@ from importlib.resources import files
 from pathlib import Path
 
 from magiclens.contract.executors import Executor, raising
-from magiclens.running.folder import HEIGHTS, MANIFEST, atomic_file
+from magiclens.running.folder import HEIGHTS, MANIFEST
+from magiclens.running.replacing import atomic_file
 from magiclens.web.viewer import viewer_fragment
 
 _CACHE = ".cache"

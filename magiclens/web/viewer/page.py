@@ -10,9 +10,10 @@ from markupsafe import Markup
 
 from magiclens.contract.errors import InputError
 from magiclens.pages.templating import render_page, template_text
-from magiclens.running.folder import MANIFEST, atomic_file
+from magiclens.running.folder import MANIFEST
 from magiclens.running.manifest import REFERENCE_RENDERER, refresh_manifest, render_path, source_path
 from magiclens.running.open_run import OpenRun, open_run
+from magiclens.running.replacing import atomic_file
 from magiclens.web.viewer.pictures import thumbnail_uri
 from magiclens.web.viewer.viewer_data import viewer_data
 
