@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from magiclens.config.suggest import advice, nearest_choice
+from magiclens.config.yaml_limits import MOST_BYTES, check_yaml
 from magiclens.contract.errors import InputError
 
 Keys = tuple[str | int, ...]
@@ -131,7 +132,9 @@ def _copied(value: Any) -> Any:
 
 def _read(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
+        with path.open("rb") as file:
+            # one more than is allowed, which is then refused: the file may have no end
+            return file.read(MOST_BYTES + 1).decode("utf-8")
     except FileNotFoundError:
         raise InputError(missing_file(path), str(path)) from None
     except IsADirectoryError:
@@ -154,6 +157,7 @@ def _parse(text: str, name: str) -> Any:
     from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
     try:
+        check_yaml(text, name)
         return YAML(typ="rt").load(text)
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
@@ -162,7 +166,8 @@ def _parse(text: str, name: str) -> Any:
     except RecursionError:  # the parser calls itself for every level
         raise InputError("this is nested too deeply", f"{name}:1") from None
     except (YAMLError, ValueError) as error:
-        raise InputError(f"this is not YAML: {str(error).splitlines()[0]}", f"{name}:1") from None
+        line = text.count("\n", 0, getattr(error, "position", 0)) + 1  # of a character that YAML does not allow
+        raise InputError(f"this is not YAML: {str(error).splitlines()[0]}", f"{name}:{line}") from None
 
 
 def _syntax(problem: str, text: str, line: int) -> str:

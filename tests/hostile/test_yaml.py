@@ -1,0 +1,79 @@
+"""YAML that would take a machine's time or memory, or fail without a line, is refused at once and names its line."""
+
+from __future__ import annotations
+
+import resource
+import time
+from pathlib import Path
+
+import pytest
+
+from magiclens.config.document import read_document
+from magiclens.config.yaml_limits import MOST_BYTES, MOST_LEVELS
+from magiclens.contract.errors import InputError
+
+
+def aliases(levels: int, first: str, line: str) -> str:
+    """Each line repeats the one above nine times."""
+    lines = [f"a{k}: &a{k} {line.format(*[f'*a{k - 1}'] * 9)}" for k in range(1, levels)]
+    return "\n".join([f"a0: &a0 {first}", *lines])
+
+
+NINE = ", ".join("{}" for _ in range(9))
+KEYED = ", ".join(f"k{k}: {{}}" for k in range(9))
+BOMBS: dict[str, tuple[str, int]] = {
+    "lists of lists": (aliases(10, "[x, x, x, x]", f"[{NINE}]"), 5),
+    "mappings of mappings": (aliases(10, "{x: 1}", f"{{{{{KEYED}}}}}"), 5),
+    "merges of merges": (aliases(12, "{x: 1}", f"{{{{<<: [{NINE}]}}}}"), 5),
+    "a long list": ("a: [" + "1," * 240_000 + "1]", 1),
+    "a list that is far too long": ("a: [" + "1," * 2_500_000 + "1]", 1),
+    "many keys": ("\n".join(f"a{k}: 1" for k in range(30_000)), 10_000),
+    "deep lists": ("name: x\na: " + "[" * 5000 + "]" * 5000, 2),
+    "deep mappings": ("\n".join(" " * k + "a:" for k in range(900)), MOST_LEVELS + 1),
+    "a merge of itself": ("name: x\na: &a {<<: *a}", 2),
+    "a list of itself": ("name: x\na: &a [*a]", 2),
+    "an endless integer": ("name: x\na: " + "9" * 5000, 2),
+    "an endless hexadecimal": ("name: x\na: 0x" + "f" * 5000, 2),
+    "an endless fraction": ("name: x\na: 1." + "0" * 5000, 2),
+    "a month that is none": ("name: x\na: 2024-13-45", 2),
+    "an hour that is none": ("name: x\na: 2024-01-01 25:00:00", 2),
+    "a tag": ("name: x\na: !!float abc", 2),
+    "code": ("name: x\na: !!python/object/apply:os.system [x]", 2),
+    "bytes": ("name: x\na: !!binary abc", 2),
+    "an unknown alias": ("name: x\na: *b", 2),
+    "two anchors of one name": ("a: &a 1\nb: &a 2", 2),
+    "a character that is none": ("name: x\na: \x00", 2),
+    "an end that is missing": ("\n" * 400_000 + "a: [", 400_001),
+    "a tab": ("name: x\n\ta: 1", 2),
+    "a key twice": ("a: 1\na: 2", 2),
+}
+
+
+@pytest.mark.parametrize("kind", BOMBS)
+def test_what_a_spec_never_needs_is_refused_at_once_with_its_line(kind: str, tmp_path: Path) -> None:
+    text, line = BOMBS[kind]
+    path = tmp_path / "spec.yaml"
+    path.write_text(text, encoding="utf-8")
+    began, before = time.process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(InputError) as raised:
+        read_document(path)
+    assert time.process_time() - began < 3
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 300_000, "kB"
+    where = str(raised.value).removeprefix(f"{path}:").split(":")[0]
+    if kind in ("many keys",):
+        assert int(where) >= line
+    else:
+        assert int(where) == line
+    assert "\n" not in str(raised.value)
+
+
+def test_a_file_without_an_end_is_not_read_to_the_end() -> None:
+    with pytest.raises(InputError, match=f"longer than {MOST_BYTES // 1000} kB|not YAML"):
+        read_document("/dev/zero")
+
+
+@pytest.mark.parametrize("value", ["[[[[1]]]]", "'2024-13-45'", "0x1F", "12e3", "2024-02-29", "x: {<<: {a: 1}}"])
+def test_ordinary_values_are_read(value: str, tmp_path: Path) -> None:
+    path = tmp_path / "spec.yaml"
+    path.write_text(f"first: &first {{a: 1}}\nsecond: *first\nthird:\n  {value}\n", encoding="utf-8")
+    assert read_document(path).data["second"] == {"a": 1}
