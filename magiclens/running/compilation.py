@@ -85,14 +85,13 @@ class _CompilationAhead(Observer):
         self._observer = observer
         self._start = partial(_start_child, [spec], overrides, _LATE)
         self._child: subprocess.Popen[str] | None = None
+        self._done: set[str] = set()
 
     def started(self, name: str, facets: int) -> None:
         """Wait until the child has compiled what this piece of work needs: heights are refined by integrators."""
         self._observer.started(name, facets)
-        if self._child and self._child.stdout and not name.startswith(("pictures", "matcher", "annealer")):
-            done = "refine" if name.startswith("integrator") else _LATE[-1]
-            while self._child.stdout.readline().strip() not in ("", done):
-                pass
+        if not name.startswith(("pictures", "matcher", "annealer")):
+            self._wait_for("refine" if name.startswith("integrator") else _LATE[-1])
 
     def progressed(self, name: str, fraction: float) -> None:
         """Pass it on."""
@@ -115,6 +114,13 @@ class _CompilationAhead(Observer):
         if self._child is None:
             self._observer.notice(_NOTICE)
             self._child = self._start()
+
+    def _wait_for(self, part: str) -> None:
+        """Wait until the child has compiled a part, or has ended."""
+        if self._child and self._child.stdout:
+            while part not in self._done:
+                line = self._child.stdout.readline().strip()
+                self._done |= {line} if line else set(_LATE)
 
     def end(self) -> None:
         """End the child, which a run that failed no longer needs."""

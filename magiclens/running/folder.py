@@ -1,19 +1,20 @@
-"""Run folders: where they may be written, and the files in them that are read back."""
+"""Run folders: where they may be written, and what is kept in them to be read again."""
 
 from __future__ import annotations
 
 import json
-import math
 import os
 from pathlib import Path
 
 import numpy as np
 
-from magiclens.contract.artifacts import FloatArray, Lens, Solid, Transport, View
+from magiclens.contract.artifacts import Lens, Solid, Transport, View
 from magiclens.contract.errors import InputError
 
 MANIFEST = "manifest.json"
 """File that describes a run, see ``is_run_manifest``."""
+FORMAT = 1
+"""Version of the manifest's format; it grows when a key changes its meaning or goes."""
 HEIGHTS = "heights.npz"
 """File with the heights of the finished lens's top, from which the lens is traced again without a new design."""
 _TRANSPORTS = "transports"
@@ -76,42 +77,18 @@ def save_heights(solid: Solid, lens: Lens, folder: Path) -> None:
         np.savez_compressed(folder / HEIGHTS, heights_mm=heights.astype(np.float32))
 
 
-def load_heights(folder: Path) -> FloatArray:
-    """Read the heights of the finished lens from a run folder.
-
-    Returns:
-        (N, N, m + 1, m + 1) float64, mm, see ``HeightField``.
-
-    Raises:
-        InputError: The folder has no heights, since the finisher's mesh has no grid.
-    """
-    path = folder / HEIGHTS
-    if not path.is_file():
-        raise InputError(f"there is no {HEIGHTS}: its finisher made a mesh that cannot be traced again", str(folder))
-    with np.load(path) as stored:
-        heights: FloatArray = stored["heights_mm"].astype(np.float64)
-    return heights
-
-
 def save_transport(transport: Transport, view: View, folder: Path) -> None:
     """Write the traced matrix of a view to the run folder, so that other pictures are encoded without tracing."""
     from scipy.sparse import save_npz
 
-    path = folder / _TRANSPORTS / f"{view.name}.npz"
+    path = folder / transport_path(view)
     path.parent.mkdir(exist_ok=True)
     save_npz(path, transport.matrix)
 
 
-def load_transport(view: View, folder: Path) -> Transport | None:
-    """Read the traced matrix of a view from a run folder; None if the folder has no matrix of this view."""
-    path = folder / _TRANSPORTS / f"{view.name}.npz"
-    if not path.is_file():
-        return None
-    from scipy.sparse import load_npz
-
-    matrix = load_npz(path)
-    side = math.isqrt(matrix.shape[0])  # pictures are square, so the number of rows gives their side
-    return Transport(matrix, (side, side), (view.source.shape[0], view.source.shape[1]))
+def transport_path(view: View) -> str:
+    """Path of the traced matrix of a view in a run folder."""
+    return f"{_TRANSPORTS}/{view.name}.npz"
 
 
 def _not_of_the_run(folder: Path) -> list[str] | None:

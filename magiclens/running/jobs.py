@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import json
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,9 +20,9 @@ from magiclens.contract.executors import Executor
 from magiclens.plan.blame import blaming
 from magiclens.plan.compile import Plan, load_plan
 from magiclens.plan.registry import EXECUTOR, Registry
-from magiclens.running.folder import MANIFEST
 from magiclens.running.manifest import spec_text, versions
 from magiclens.running.pipeline import run_plan
+from magiclens.running.run_folder import verified
 
 
 @dataclass(frozen=True)
@@ -49,19 +48,18 @@ def finished_manifest(plan: Plan, folder: Path) -> dict[str, Any] | None:
 
     A run folder is up to date if it has the plan's spec, input files, stages and versions, and all of its files.
     """
-    if not (folder / MANIFEST).is_file():
+    try:
+        files = verified(folder)
+        files.check_files()
+    except InputError:  # there is none, or it has been damaged
         return None
-    found: dict[str, Any] = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+    found = files.manifest
     inputs = Inputs()
     spec = hashlib.sha256(spec_text(plan, inputs).encode()).hexdigest()
     stages = [(step.stage.type, step.stage.version) for step in plan.steps]
     known = [(stage["type"], stage["version"]) for stage in found["stages"]]
     same = (spec, versions(plan), stages) == (found["spec_sha256"], found["versions"], known)
-    return found if same and _has_files(folder, found) and _same_inputs(inputs, found) else None
-
-
-def _has_files(folder: Path, manifest: dict[str, Any]) -> bool:
-    return all((folder / artifact["path"]).is_file() for artifact in manifest["artifacts"])
+    return found if same and _same_inputs(inputs, found) else None
 
 
 def _same_inputs(inputs: Inputs, manifest: dict[str, Any]) -> bool:

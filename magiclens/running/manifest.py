@@ -15,14 +15,12 @@ from typing import TYPE_CHECKING, Any
 from magiclens.config.fields import Inputs
 from magiclens.contract.artifacts import Scene, View
 from magiclens.plan.compile import Plan, Step
-from magiclens.running.folder import MANIFEST
+from magiclens.running.folder import FORMAT, MANIFEST
 from magiclens.running.replacing import atomic_file
 
 if TYPE_CHECKING:
     from magiclens.images.score import Score
 
-_FORMAT = 1
-"""Version of the manifest's format; it grows when a key changes its meaning or goes."""
 REFERENCE_RENDERER = "tracer"
 """Renderer whose scores are called ``psnr_db`` and ``ssim``; scores of other renderers carry the renderer's name."""
 
@@ -71,7 +69,7 @@ def build_manifest(
         scores: Of every renderer, one score per view.
     """
     return {
-        "format": _FORMAT,
+        "format": FORMAT,
         "name": plan.spec.name,
         "scenario": plan.scenario.type,
         "scene": _scene(scene),

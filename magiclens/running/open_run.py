@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,14 +11,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from magiclens.config.fields import Inputs
 from magiclens.config.suggest import unknown
 from magiclens.contract.artifacts import FloatArray, HeightField, Scene, Solid, Transport, View
 from magiclens.contract.errors import InputError
 from magiclens.plan.blame import blaming
 from magiclens.plan.compile import Plan, load_plan
 from magiclens.plan.registry import Registry
-from magiclens.running.folder import HEIGHTS, MANIFEST, load_heights, load_transport
+from magiclens.running.folder import HEIGHTS
 from magiclens.running.manifest import refresh_manifest, source_path
+from magiclens.running.run_folder import RunFolder, verified
 
 if TYPE_CHECKING:
     from magiclens.preflight.finding import Preflight
@@ -35,9 +36,14 @@ class OpenRun:
     The scene has the sources that the spec gave, not those that an encoder made of them (see ``printed_scene``).
     """
 
-    folder: Path
+    files: RunFolder
     plan: Plan
     scene: Scene
+
+    @property
+    def folder(self) -> Path:
+        """The run folder."""
+        return self.files.path
 
     @property
     def printed_scene(self) -> Scene:
@@ -46,7 +52,7 @@ class OpenRun:
         from magiclens.images.files import read_image
 
         def source(view: View) -> FloatArray:
-            picture = resize(read_image(self.folder / source_path(view)), view.source.shape[:2])
+            picture = resize(read_image(self.files.file(source_path(view))), view.source.shape[:2])
             return np.ascontiguousarray(np.broadcast_to(picture, view.source.shape), np.float32)
 
         return replace(self.scene, views=tuple(replace(view, source=source(view)) for view in self.scene.views))
@@ -56,7 +62,9 @@ class OpenRun:
         """The finished lens, from its stored heights."""
         from magiclens.geometry.solid import solid_from_heights
 
-        return solid_from_heights(HeightField(self.plan.lens, load_heights(self.folder), self.scene.cut_eye_mm))
+        return solid_from_heights(
+            HeightField(self.plan.lens, self.files.heights(self.plan.lens), self.scene.cut_eye_mm)
+        )
 
     def view(self, name: str | None = None) -> View:
         """The view of that name, the first one by default. Raises InputError if there is no such view."""
@@ -75,7 +83,7 @@ class OpenRun:
         view = self.view(name)
         first = traced_view(self.scene, view)
         if first.name not in self._transports:
-            kept = load_transport(first, self.folder)
+            kept = self.files.transport(first)
             self._transports[first.name] = kept or transports(replace(self.scene, views=(first,)), self.solid)[0]
         return self._transports[first.name].turned(view.quarter_turns - first.quarter_turns)
 
@@ -131,9 +139,14 @@ class OpenRun:
 
 
 def open_run(folder: str | Path, registry: Registry | None = None) -> OpenRun:
-    """Open a finished run folder. Raises InputError if the folder is not one."""
-    plan = _plan_of(Path(folder), registry)
-    return OpenRun(Path(folder), plan, plan.scene())
+    """Open a finished run folder.
+
+    Raises:
+        InputError: It is no run folder; or a file that is read has been damaged or changed since the run.
+    """
+    files = verified(folder)
+    plan = _plan_of(files, registry)
+    return OpenRun(files, plan, plan.scene())
 
 
 def check_run_folder(folder: str | Path, registry: Registry | None = None) -> tuple[Preflight, str]:
@@ -153,21 +166,27 @@ def check_run_folder(folder: str | Path, registry: Registry | None = None) -> tu
     from magiclens.simulation.as_made import rough_pictures, write_pictures
 
     path = Path(folder)
-    plan = _plan_of(path, registry)
-    if plan.fabrication and (path / HEIGHTS).is_file():
-        lens = OpenRun(path, plan, plan.scene())
+    files = verified(path)
+    plan = _plan_of(files, registry)
+    if plan.fabrication and files.has(HEIGHTS):
+        lens = OpenRun(files, plan, plan.scene())
         pictures = rough_pictures(plan.fabrication.machine, plan.on_medium(lens.printed_scene), lens.solid)
         write_pictures(pictures, lens.scene.views[: len(pictures)], path, "as-made-rough")
-    found = run_preflight(path, json.loads((path / MANIFEST).read_text(encoding="utf-8")), plan)
+    found = run_preflight(path, files.manifest, plan)
     write_preflight(found, path)
     refresh_manifest(path)
     return found, preflight_text(found)
 
 
-def _plan_of(path: Path, registry: Registry | None) -> Plan:
-    if not (path / MANIFEST).is_file():
-        raise InputError(f"'{path}' is not a run folder: it has no {MANIFEST}")
-    return load_plan(path / "spec.yaml", (), registry)
+def _plan_of(files: RunFolder, registry: Registry | None) -> Plan:
+    """The plan that the run was made by, whose files are all copies in the run folder."""
+    plan, inputs = load_plan(files.file("spec.yaml"), (), registry), Inputs()
+    plan.resolved(inputs)
+    for path in inputs:
+        if not path.resolve().is_relative_to(files.path.resolve()):
+            raise InputError(f"the spec names '{path}', which is not in the run folder", str(files.path / "spec.yaml"))
+        files.file(path.resolve().relative_to(files.path.resolve()).as_posix())
+    return plan
 
 
 def _with_target(view: View, frame: FloatArray, channels: int, name: str) -> View:

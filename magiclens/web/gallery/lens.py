@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -16,6 +15,7 @@ from magiclens.contract.errors import InputError
 from magiclens.report.tables import TableRow, format_bytes, metric_headlines
 from magiclens.running.folder import MANIFEST
 from magiclens.running.manifest import REFERENCE_RENDERER
+from magiclens.running.run_folder import verified
 from magiclens.web.gallery.gallery_list import GalleryEntry
 from magiclens.web.gallery.highlight import highlighted
 from magiclens.web.gallery.pictures import Album, Picture
@@ -124,7 +124,7 @@ def lens_page(entry: GalleryEntry, folder: Path, viewer: str, album: Album, quic
     Raises:
         InputError: The entry names a view that the run does not have.
     """
-    manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+    manifest = verified(folder).manifest
     shown = _chosen(entry, manifest["views"])
     photo = next(iter(shown["renders"].values()), shown["target"])
     card = [album.shrunk(folder / path, entry.name, _CARD_WIDTH, "") for path in (shown["source"], photo)]

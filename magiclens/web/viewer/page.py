@@ -10,10 +10,10 @@ from markupsafe import Markup
 
 from magiclens.contract.errors import InputError
 from magiclens.pages.templating import render_page, template_text
-from magiclens.running.folder import MANIFEST
 from magiclens.running.manifest import REFERENCE_RENDERER, refresh_manifest, render_path, source_path
 from magiclens.running.open_run import OpenRun, open_run
 from magiclens.running.replacing import atomic_file
+from magiclens.running.run_folder import verified
 from magiclens.web.viewer.pictures import thumbnail_uri
 from magiclens.web.viewer.viewer_data import viewer_data
 
@@ -101,14 +101,14 @@ def json_for_script(value: Any) -> str:
 
 
 def _name(folder: Path) -> str:
-    return str(json.loads((folder / MANIFEST).read_text(encoding="utf-8"))["name"])
+    return str(verified(folder).manifest["name"])
 
 
 def _fallback_picture(lens: OpenRun) -> Path:
     """The picture for browsers without WebGL2: the first view as rendered, or its source if nothing was rendered."""
     view = lens.scene.views[0]
-    rendered = lens.folder / render_path(REFERENCE_RENDERER, view)
-    return rendered if rendered.is_file() else lens.folder / source_path(view)
+    rendered = render_path(REFERENCE_RENDERER, view)
+    return lens.files.file(rendered if lens.files.has(rendered) else source_path(view))
 
 
 def _script() -> str:

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from magiclens.contract.artifacts import FloatArray, HeightField, Lens, View
-from magiclens.running.folder import load_heights
 from magiclens.running.manifest import source_path, target_path
 from magiclens.running.open_run import OpenRun
 from magiclens.web.viewer.packing import pack_heights
@@ -41,7 +40,7 @@ def viewer_data(lens: OpenRun) -> dict[str, Any]:
     Raises:
         InputError: The folder has no heights.
     """
-    heights = load_heights(lens.folder)
+    heights = lens.files.heights(lens.plan.lens)
     packed = pack_heights(heights, finest_step_mm(lens.plan.lens), _HEIGHTS_BYTES)
     # base64 takes four characters for three bytes
     room = (MOST_BYTES - _PROGRAM_BYTES) * 3 // 4 - len(packed.content)
