@@ -166,7 +166,7 @@ class View(Viewpoint, _ReadOnly):
 
     def in_lens_frame(self) -> View:
         """The same view in the lens frame: the rotation is 0; source, target and eye are turned back instead."""
-        k = self.quarter_turns
+        k = self.quarter_turns  # rot90 turns counter-clockwise, as the lens does, so -k turns back
         return View(
             self.name,
             np.ascontiguousarray(np.rot90(self.source, -k)),
@@ -381,7 +381,8 @@ class Transport:
         """The matrix after counter-clockwise quarter turns of lens and eye together; both rasters must be square."""
         if quarter_turns % 4 == 0:
             return self
-        # turning both rasters renumbers the rows and columns of the matrix; its entries stay
+        # turning both rasters renumbers the rows and columns of the matrix; its entries stay. The picture turns with
+        # the lens; seen from the lens the source turns the other way, hence the minus
         pixels, sources = (
             np.rot90(np.arange(rows * columns, dtype=np.int32).reshape(rows, columns), turns).ravel()
             for (rows, columns), turns in ((self.shape, quarter_turns), (self.source_shape, -quarter_turns))
