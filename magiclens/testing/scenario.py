@@ -12,6 +12,7 @@ from magiclens.scenarios.base import Scenario
 from magiclens.testing.stage import digest
 
 _LENS = Lens(size_mm=20.0, source_size_mm=20.0, facets=4, microfacets=4)
+"""The lens that scenarios are asked about: small, since sources have a least number of pixels per millimetre."""
 
 
 class ScenarioContract:

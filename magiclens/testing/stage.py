@@ -23,6 +23,7 @@ SEED = 20
 """Seed of the generators that stages are tested with."""
 
 _DAY_S = 86_400.0
+"""Seconds of a day."""
 
 
 @dataclass(frozen=True)
@@ -162,7 +163,7 @@ def _feed(update: Callable[[bytes], None], thing: Any) -> None:
 
 
 def _set_clock_to_tomorrow(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Move the clock that programs take the date of a file from."""
+    """Move the clock of this process by a day; writers of files take dates from it."""
     now, now_ns, local, utc = time.time, time.time_ns, time.localtime, time.gmtime
     monkeypatch.setattr(time, "time", lambda: now() + _DAY_S)
     monkeypatch.setattr(time, "time_ns", lambda: now_ns() + round(_DAY_S * 1e9))
