@@ -28,9 +28,12 @@ from magiclens.running.pipeline import run_plan
 
 @dataclass(frozen=True)
 class RunJob:
-    """One run to do: the spec file, overrides of its keys (``key=value``), and the run folder to write.
+    """One run to do. Paths are text, and those of the machine that does the job.
 
-    Both paths are those of the machine that does the job.
+    Attributes:
+        spec: The spec file.
+        overrides: ``key.path=value`` texts that are laid over it.
+        out: The run folder to write.
     """
 
     spec: str

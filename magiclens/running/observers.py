@@ -12,8 +12,8 @@ if TYPE_CHECKING:
 class Observer:
     """Base of all observers. This one shows no progress; it only prints notices.
 
-    ``name`` is the piece of work, such as ``matcher exhaustive``; ``facets`` is the number of facets that it works on,
-    0 if that number does not matter.
+    In all methods, ``name`` is the piece of work, such as ``matcher exhaustive``, and ``facets`` the number of facets
+    that it works on, 0 if that number does not matter.
     """
 
     def started(self, name: str, facets: int) -> None:
