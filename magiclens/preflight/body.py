@@ -27,6 +27,7 @@ def check_body(file: MeshFile, lens: Lens, eye_mm: FloatArray | None) -> list[Fi
         eye_mm: (3,) eye along whose rays the top was cut, lens frame; None for vertical cells.
     """
     solid = file.solid(eye_mm)
+    # each check relies on what those before have found: only a closed mesh has a volume
     topology = check_topology(solid)
     found = topology if topology.flaws else topology + check_areas(solid)
     if not found.flaws:
@@ -37,7 +38,8 @@ def check_body(file: MeshFile, lens: Lens, eye_mm: FloatArray | None) -> list[Fi
 def body_checked_by_finisher(metrics: Mapping[str, Any], name: str) -> list[Finding] | None:
     """The same findings, for a file of this name that holds the very solid which the finisher has checked.
 
-    They are made from the metrics of the run; None if its finisher has not checked everything.
+    They are made from the metrics of the run; None if its finisher has not checked everything. The
+    built-in finisher raises an error where it finds a flaw, so there is none.
     """
     if not {"watertight", "bodies", "outward_normals", "self_intersections"} <= set(metrics):
         return None

@@ -27,6 +27,7 @@ _COARSE_PX_PER_MM = 5.0
 CHECKED_VIEWS = 8
 """Number of views that are checked; an animation has many more."""
 _TURNS = ("as it is", "turned by 90 deg", "turned by 180 deg", "turned by 270 deg")
+"""How targets are turned for comparison, in words, by the number of quarter turns."""
 
 
 def check_orientation(
@@ -48,6 +49,7 @@ def check_orientation(
         run_psnr_db: Mean PSNR of the run's pictures; None if it has taken none.
     """
     views, traced = views[:CHECKED_VIEWS], traced[:CHECKED_VIEWS]
+    # 3 x 3 micro-facets to a pixel, or more: every triangle is one ray, and no pixel should stay empty
     side = int(np.clip(lens.facets * lens.microfacets // 3, 12, 96))
     pictures = [picture_of_triangles(seen, lens, view, side) for seen, view in zip(traced, views, strict=True)]
     targets = [resize(view.target, (side, side)) for view in views]
@@ -55,6 +57,7 @@ def check_orientation(
     for k, name in enumerate(_TURNS):
         mirrored = [np.rot90(t[:, ::-1], k) for t in targets]
         psnr_db[f"mirrored and {name}" if k else "mirrored"] = _mean_psnr_db(pictures, mirrored)
+    # a mirrored file is traced anew: its picture is not the mirror image of the right one, since the source stays
     flipped_file = file.mirrored()
     flipped_traced = trace_triangles_for_views(flipped_file.triangles[file.on_top], lens, views)
     flipped_pictures = [picture_of_triangles(t, lens, v, side) for t, v in zip(flipped_traced, views, strict=True)]

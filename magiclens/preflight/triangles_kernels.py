@@ -14,11 +14,16 @@ from magiclens.optics.refraction import refract, transmittance
 
 
 class TracedTriangles(NamedTuple):
-    """What one eye sees of triangles, by the ray through the middle of each; all (F,) float64, lens frame, mm.
+    """What one eye sees of triangles, by the ray through the middle of each; lens frame.
 
-    u, v: where the triangle's middle is seen on the reference plane. area: how much of the reference plane the
-    triangle fills, mm^2; 0 if it faces away from the eye. cosine: of the angle between normal and ray. x, y: where
-    the ray meets the source. through: share of the light that passes; 0 if the flat bottom reflects it totally.
+    Args:
+        u: (F,) x of the point of the reference plane at which the triangle's middle is seen, mm.
+        v: (F,) its y.
+        area: (F,) how much of the reference plane the triangle fills, mm^2; 0 if it faces away from the eye.
+        cosine: (F,) cosine of the angle between the outward normal and the way back to the eye.
+        x: (F,) x of the point at which the ray meets the source, mm.
+        y: (F,) its y.
+        through: (F,) share of the light that passes both surfaces; 0 if the flat bottom reflects it totally.
     """
 
     u: FloatArray
@@ -41,7 +46,7 @@ def _trace_part(part, triangles, eye, thickness, gap, ior, traced):
         px, py, pz = bx - ax, by - ay, bz - az
         qx, qy, qz = cx - ax, cy - ay, cz - az
         nx, ny, nz = py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx
-        double = sqrt(nx * nx + ny * ny + nz * nz)
+        double = sqrt(nx * nx + ny * ny + nz * nz)  # twice the area
         if double == 0.0:
             continue
         nx, ny, nz = nx / double, ny / double, nz / double
