@@ -38,8 +38,8 @@ def check_body(file: MeshFile, lens: Lens, eye_mm: FloatArray | None) -> list[Fi
 def body_checked_by_finisher(metrics: Mapping[str, Any], name: str) -> list[Finding] | None:
     """The same findings, for a file of this name that holds the very solid which the finisher has checked.
 
-    They are made from the metrics of the run; None if its finisher has not checked everything. The
-    built-in finisher raises an error where it finds a flaw, so there is none.
+    They are made from the metrics of the run; None if its finisher has not checked everything. The built-in
+    finisher raises an error where it finds a flaw, so there is none.
     """
     if not {"watertight", "bodies", "outward_normals", "self_intersections"} <= set(metrics):
         return None
