@@ -117,7 +117,7 @@ def read_document(path: str | Path, overrides: Iterable[str] = ()) -> Document:
 
 def document_of(data: Mapping[str, Any], overrides: Iterable[str] = ()) -> Document:
     """A document of a spec that is a dict already. Tuples become lists; paths in it start at the current folder."""
-    copy = _copied(data)
+    copy = _copied(data)  # overrides are laid over it in place
     return Document("spec", copy, {}, tuple(_apply(copy, text) for text in overrides))
 
 

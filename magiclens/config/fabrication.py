@@ -72,6 +72,7 @@ class Fabrication:
             Keys of ``lens``, each with the reason.
         """
         machine = self.machine
+        # the top may be a relief above its mean height, which is the lens's thickness, and a relief below it
         least, most = machine.thickness
         if lens.thickness + lens.relief > most:
             room = LENGTH.text(most - lens.relief)

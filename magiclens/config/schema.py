@@ -63,6 +63,7 @@ def json_schema(scenarios: _Classes, stages: Mapping[str, _Classes], art: Iterab
 
 def _definition(noun: str, type_: str, cls: type[BaseModel]) -> dict[str, Any]:
     """The options of one class and the ``type`` that picks it, its own definitions inside."""
+    # inside, since classes of different plugins may use models of the same name
     template = f"{_REF}{noun}-{type_}/definitions/{{model}}"
     try:
         schema = cls.model_json_schema(ref_template=template, schema_generator=Draft7)

@@ -47,7 +47,7 @@ class _ReadOnly:
         for f in fields(self):  # type: ignore[arg-type]
             value = getattr(self, f.name)
             if isinstance(value, np.ndarray):
-                value.flags.writeable = False
+                value.flags.writeable = False  # not of a copy: its maker can no longer write to it either
             elif isinstance(value, dict):
                 object.__setattr__(self, f.name, MappingProxyType(dict(value)))
 
@@ -102,7 +102,7 @@ class Lens:
     def facet_centres_mm(self) -> FloatArray:
         """Centres of the facets on the reference plane: (N, N, 2) float64 as (x, y), mm, lens frame."""
         c = (np.arange(self.facets) + 0.5) * self.pitch_mm - self.size_mm / 2
-        return np.stack(np.broadcast_arrays(c[None, :], -c[:, None]), axis=-1)
+        return np.stack(np.broadcast_arrays(c[None, :], -c[:, None]), axis=-1)  # row 0 is at +y
 
     def cut_along(self, eye_mm: FloatArray) -> FloatArray | None:
         """The eye along whose rays facets are cut; None if they are cut vertically.
@@ -169,6 +169,7 @@ class View(Viewpoint, _ReadOnly):
         k = self.quarter_turns  # rot90 turns counter-clockwise, as the lens does, so -k turns back
         return View(
             self.name,
+            # rot90 gives a view with other strides; to numba that is another type, for which it compiles again
             np.ascontiguousarray(np.rot90(self.source, -k)),
             np.ascontiguousarray(np.rot90(self.target, -k)),
             self.eye_in_lens_frame_mm,
@@ -261,7 +262,7 @@ class Assignment(_ReadOnly):
         """
         i, j = np.indices(choice.shape)
         return cls(
-            np.array(choice, np.int64),
+            np.array(choice, np.int64),  # a copy: the artifact makes its arrays read-only, the caller's stays as it is
             candidates.offsets_mm[i, j, choice],
             candidates.maps[i, j, choice],
             candidates.errors[i, j, choice],

@@ -133,7 +133,7 @@ class LengthOrPercent:
     @classmethod
     def parse(cls, value: object) -> LengthOrPercent:
         """The value of a text; a ValueError says what is wrong."""
-        if isinstance(value, cls):
+        if isinstance(value, cls):  # a default, which ``relative`` has made
             return value
         if _is_number(value):
             raise ValueError(f"{value} is a bare number; write a length such as '{value}mm' or a share such as '10%'")

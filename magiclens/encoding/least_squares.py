@@ -85,6 +85,7 @@ class LeastSquaresEncoder(Encoder):
     ) -> FloatArray:
         """One source (H, W, C) for its views, whose pictures have this shape (rows, columns)."""
         given = views[0].source
+        # in the order in which ``_SourceMatrix`` stacks the matrices of the views
         targets = np.concatenate([resize(view.target, shape).reshape(-1, given.shape[-1]) for view in views])
         flat = given.reshape(-1, given.shape[-1])
         out = flat.copy()

@@ -85,7 +85,7 @@ def solve_weighted(right: FloatArray, weights: FloatArray, screening: float, sta
     solution, failed = cg(
         LinearOperator(shape, apply),
         right.ravel(),
-        start.ravel(),
+        start.ravel(),  # the heights of the round before, from which they move little
         rtol=1e-7,
         maxiter=400,
         M=LinearOperator(shape, precondition),

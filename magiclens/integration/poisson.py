@@ -58,7 +58,7 @@ class Poisson(Integrator):
         def solve(rows: FloatArray, columns: FloatArray, _: FloatArray, done: int) -> FloatArray:
             nonlocal levels, screening
             shapes = lenslets(rows, columns).reshape(n, n, k, k)
-            check_relief(shapes, relief)
+            check_relief(shapes, relief)  # a lenslet that is taller than the relief fits at no level
             if self.placement == "steps" or done < _SETTLING:
                 levels, screening = levels_of_least_steps(shapes, screening, relief)
             if self.placement == "light" and done < _SETTLING:

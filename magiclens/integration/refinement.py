@@ -157,6 +157,7 @@ class _Facets:
 
 
 def _tell(progress: Callable[[float], None], stage: int, done: float) -> None:
+    # the first tenth is for preparation
     progress(0.1 + 0.9 * (stage + done) / len(_BLURS))
 
 

@@ -466,6 +466,7 @@ def _refine_part(part, shapes, samples, pictures, optics, metric, descent, error
     rays = Rays(np.zeros((eyes, triangles, 2)), np.zeros((eyes, triangles, 2, 2)), np.zeros((eyes, triangles, 2, 2)))
     slopes, residuals = np.zeros((2, triangles, 2)), np.zeros((2, pixels, channels), np.float32)
     gradients = np.zeros((2, pairs, 2, channels), np.float32)
+    # one of the facet as it is and one of the trial: a step that is taken exchanges them
     predictions = (Shown(slopes[0], residuals[0], gradients[0]), Shown(slopes[1], residuals[1], gradients[1]))
     step = np.zeros((k, k))
     derive = np.bool_(True)  # not the literal, for which numba would compile the prediction apart

@@ -109,7 +109,9 @@ class Operation:
         low, high = self.whole.y0, self.whole.y1
         count = math.ceil((high - low) / self.stepover_mm) + 1
         step = self.options.step_mm
+        # the lines of the whole, so that tiles go on with each other's; on the machine's grid, two may become one
         y = np.unique(np.round(np.linspace(low, high, count) / step)) * step
+        # a step more: rounding must not leave out a line between two tiles
         return y[(y >= part.y0 - step) & (y <= part.y1 + step)]
 
     def nodes(self, part: Rectangle) -> FloatArray:
@@ -124,6 +126,7 @@ class Operation:
         samples = np.linspace(nodes[0], nodes[-1], (len(nodes) - 1) * every + 1)
         arc = self.cutter.outline().arc
         z = self.contacts.tips(samples, y_mm, self.floor_mm)
+        # cutters without an arc have no roundness to tell jumps from; ``contacts`` takes them to be wider instead
         tips: FloatArray = thinned(covering(z, spacing**2 / arc) if arc else z, every) - self.thickness_mm
         return tips
 

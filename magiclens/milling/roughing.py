@@ -23,6 +23,7 @@ def add_roughing(op: Operation, path: Toolpath, part: Rectangle) -> None:
     # -low: z = 0 is the plate's top. 1e-9: a depth of a whole number of levels must not get one more by rounding
     for level in range(math.ceil(-float(low.min()) / down - 1e-9)):
         before, after = np.maximum(low, -level * down), np.maximum(low, -(level + 1) * down)
+        # less than half a machine's step is rounding, not material
         _level(op, path, nodes, lines, after, before - after > op.options.step_mm / 2)
         path.lift()
 

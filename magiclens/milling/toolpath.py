@@ -54,6 +54,7 @@ class Moves:
 
     def without_pauses(self) -> Moves:
         """The same moves without those that end where they begin."""
+        # the first is always kept, if there is one
         kept = np.r_[True, (np.diff(self.points, axis=0) != 0).any(axis=1)][: len(self.points)]
         return Moves(self.points[kept], self.feed[kept], self.tool[kept])
 

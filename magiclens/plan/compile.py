@@ -152,6 +152,7 @@ class Plan:
         medium = self.spec.medium
         if medium is None:
             return scene
+        # once per name, so that views which share a source still share its array
         sources = {view.source_name: medium.shown(view.source) for view in scene.views}
         views = (replace(v, source=sources[v.source_name], target=medium.shown(v.target)) for v in scene.views)
         return replace(scene, views=tuple(views))

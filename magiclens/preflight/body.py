@@ -52,6 +52,7 @@ def check_size(file: MeshFile, lens: Lens) -> Finding:
     low, high = file.extent_mm
     wide = float(max(high[0] - low[0], high[1] - low[1]))
     extent = "{:.4g} x {:.4g} x {:.4g} mm".format(*(high - low))
+    # the sides lean out to a flat bottom that may be much wider than the lens
     if not 0.9 * lens.size_mm <= wide <= 5 * lens.size_mm:
         return Finding("size", "red", f"{file.name} is {extent}, but the lens is {lens.size_mm:g} mm wide: wrong unit?")
     return Finding("size", "green", f"{file.name} is {extent}")

@@ -50,6 +50,7 @@ class MeshFile:
     def volume_mm3(self) -> float:
         """The volume by the divergence theorem; positive if faces point outward."""
         a, b, c = np.moveaxis(self.triangles, 1, 0)
+        # the float32 of the file is exact enough for products, but not for their sum
         return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum(dtype=np.float64) / 6)
 
     @cached_property

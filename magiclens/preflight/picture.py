@@ -65,6 +65,7 @@ def check_orientation(
     right = psnr_db.pop(_TURNS[0])
     best = max(psnr_db, key=lambda name: psnr_db[name])
     text = f"rendered from {file.name}, the picture is {right:.1f} dB from its target"
+    # only a picture about as good as the run's proves that the file is turned or mirrored
     good = -np.inf if run_psnr_db is None else run_psnr_db - _EXPECTED_LOSS_DB
     if flipped > max(right + _CLEARLY_BETTER_DB, good):
         return Finding("mirror image", "red", f"{text}, but {flipped:.1f} dB if the file is mirrored: it is inside out")
@@ -95,6 +96,7 @@ def picture_of_triangles(traced: TracedTriangles, lens: Lens, view: View, side: 
         (side, side, C) float32, linear light.
     """
     source, scale = view.source, view.source.shape[1] / lens.source_size_mm
+    # rows go down and y goes up, hence the minus of y and v
     rows, columns = (_pixels(x * scale, n) for x, n in ((-traced.y, len(source)), (traced.x, source.shape[1])))
     inside = (traced.through > 0) & (np.maximum(abs(traced.x), abs(traced.y)) <= lens.source_size_mm / 2)
     light = source[rows, columns] * (traced.area * traced.through * inside)[:, None]
@@ -102,6 +104,7 @@ def picture_of_triangles(traced: TracedTriangles, lens: Lens, view: View, side: 
     within = np.maximum(abs(traced.u), abs(traced.v)) <= lens.size_mm / 2
     pixel, area = (down * side + right)[within], traced.area[within]
     total = [np.bincount(pixel, light[within, c], side * side) for c in range(source.shape[-1])]
+    # a pixel in which no triangle is seen is black
     filled = np.maximum(np.bincount(pixel, area, side * side), 1e-9)
     return np.asarray((np.stack(total, axis=-1) / filled[:, None]).reshape(side, side, -1), np.float32)
 

@@ -40,6 +40,7 @@ def _trace_part(part, triangles, eye, thickness, gap, ior, traced):
     """Part of the triangles, see ``trace_middles``; traced: zeros, to fill."""
     u, v, area, cosines, x, y, through = traced
     for f in range(part.first, part.end):
+        # float() makes them float64: small triangles are small differences of float32 numbers
         ax, ay, az = float(triangles[f, 0, 0]), float(triangles[f, 0, 1]), float(triangles[f, 0, 2])
         bx, by, bz = float(triangles[f, 1, 0]), float(triangles[f, 1, 1]), float(triangles[f, 1, 2])
         cx, cy, cz = float(triangles[f, 2, 0]), float(triangles[f, 2, 1]), float(triangles[f, 2, 2])
@@ -65,6 +66,7 @@ def _trace_part(part, triangles, eye, thickness, gap, ior, traced):
         tx, ty, tz = refract(dx, dy, dz, nx, ny, nz, ior)
         if tz >= 0.0:
             continue
+        # the flat bottom's normal is +z, so -tz is the cosine of the angle there
         weight = transmittance(cosine, ior) * transmittance(-tz, 1.0 / ior)
         if weight <= 0.0:
             continue

@@ -220,6 +220,7 @@ def _analyse(plan: Plan, scene: Scene) -> None:
         unfinished=solid, solid=solid, renders={}, manifest={"metrics": {}},
     )  # fmt: skip
     for planned in plan.analyses:
+        # each for itself: one that fails on so small a lens must not keep the next from being compiled
         with suppress(Exception):
             findings = planned.analysis.compute(plan, result)
             planned.analysis.figures(result, findings)

@@ -19,6 +19,7 @@ Generators = dict[str, np.random.Generator]
 
 def generators(seed: int) -> Generators:
     """One generator per kind of stage, so that a stage that draws more numbers does not change what others draw."""
+    # by the place in KINDS: a new kind must come last, or the other kinds would draw other numbers
     children = np.random.SeedSequence(seed).spawn(len(KINDS))
     return {kind: np.random.default_rng(child) for kind, child in zip(KINDS, children, strict=True)}
 

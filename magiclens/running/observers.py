@@ -47,7 +47,7 @@ class LineObserver(Observer):
     def finished(self, name: str, seconds: float) -> None:
         """Print name, seconds and rate."""
         line = f"{name:28}{seconds:8.2f} s  {_rate(self._facets, seconds)}"
-        print(line.rstrip(), file=self._stream, flush=True)
+        print(line.rstrip(), file=self._stream, flush=True)  # so that a log tells at once how far a run is
 
 
 class BarObserver(Observer):
@@ -78,6 +78,7 @@ class BarObserver(Observer):
     def progressed(self, name: str, fraction: float) -> None:
         """Move the bar."""
         if self._task is not None:
+            # pieces of work follow each other, so the last bar is that of this one
             elapsed = self._bars.tasks[-1].elapsed or 0.0
             self._bars.update(self._task, total=1.0, completed=fraction, rate=_rate(self._facets * fraction, elapsed))
 

@@ -145,6 +145,7 @@ def run_plan(plan: Plan, out_dir: str | Path, observer: Observer | None = None) 
         with atomic_folder(place, observer.notice) as folder:
             result = _make(plan, folder, steps)
             whole = write_manifest(folder, result.manifest, steps.timings())
+        # only now, when the folder is in its place: observers may read it
         steps.tell("mlens_run_done", folder=out, manifest=whole)
     finally:
         observer.stopped()

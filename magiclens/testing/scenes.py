@@ -47,7 +47,7 @@ def two_eyes() -> Scene:
 def ramps(scene: Scene) -> Scene:
     """The scene with sources whose colour is the position: red grows with +x, green with +y, from 0 to 1; blue is 1."""
     centres = (np.arange(360) + 0.5) / 360
-    red, green = np.meshgrid(centres, centres[::-1])
+    red, green = np.meshgrid(centres, centres[::-1])  # row 0 is at +y
     source = np.stack([red, green, np.ones_like(red)], axis=-1).astype(np.float32)
     black = np.zeros((1, 1, 3), np.float32)
     return replace(scene, views=tuple(replace(view, source=source, target=black) for view in scene.views))

@@ -98,6 +98,7 @@ class StageContract:
 
     def test_its_options_can_be_written_to_a_spec_and_read_again(self) -> None:
         """A run folder's ``spec.yaml`` has every option, and must give the same stage again."""
+        # through JSON, which has the same values as YAML: anything else would not survive in a file
         written = json.loads(json.dumps(self.stage.model_dump(mode="json", context={"inputs": None})))
         assert type(self.stage).model_validate(written) == self.stage, f"read again, {written} is another stage"
 
