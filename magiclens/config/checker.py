@@ -76,11 +76,17 @@ class Checker:
 
 
 def _as_in_yaml(loc: Keys, data: Any) -> tuple[Keys, Any]:
-    """Pydantic's location of an error without the names of union members, and the value at that location."""
+    """Pydantic's location of an error without the types of union members, and the value at that location.
+
+    Args:
+        loc: Pydantic's location: keys, list indices, and types of union members.
+        data: What was validated, as plain data.
+    """
     keys: list[str | int] = []
     node, named = data, False
     for step in loc:
-        # pydantic inserts the type of a union's member, which is not a key of the file
+        # pydantic inserts the type of a union's member, which is not a key of the file; it does so once, so an option
+        # that has the same name as the type, and follows it, is a key again
         named = not named and isinstance(node, dict) and node.get("type") == step
         if not named:
             keys.append(step)

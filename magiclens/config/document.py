@@ -118,7 +118,7 @@ def read_document(path: str | Path, overrides: Iterable[str] = ()) -> Document:
 
 def document_of(data: Mapping[str, Any], overrides: Iterable[str] = ()) -> Document:
     """A document of a spec that is a dict already. Tuples become lists; paths in it start at the current folder."""
-    copy = _copied(data)
+    copy = _copied(data)  # overrides are laid over it in place
     return Document("spec", copy, {}, tuple(_apply(copy, text) for text in overrides))
 
 
@@ -194,14 +194,15 @@ def _mark(node: Any, key: Any, at: Keys, lines: dict[Keys, int]) -> Keys:
     path = (*at, key if isinstance(node, list) else str(key))
     position = (node.lc.data or {}).get(key)
     if position:
-        lines[path] = position[0] + 1
+        lines[path] = position[0] + 1  # ruamel counts lines from 0
     return path
 
 
 def _scalar(node: Any) -> Any:
     from ruamel.yaml.scalarbool import ScalarBoolean
 
-    # ruamel's scalars remember how they were written; pydantic, where it is strict, accepts plain ones only
+    # ruamel's scalars remember how they were written; pydantic, where it is strict, accepts plain ones only.
+    # ScalarBoolean is an int, so it is asked for before int
     if node is None or isinstance(node, bool):
         return node
     if isinstance(node, ScalarBoolean):
@@ -225,12 +226,13 @@ def _apply(data: dict[str, Any], text: str) -> Override:
         keys = (*keys, _index(node, part, keys, where))
         node = _descend(node, keys[-1])
     keys = (*keys, _index(node, last, keys, where))
+    # read as YAML, so that 64 is a number and [a, b] a list; its lines are not lines of the file, so they are dropped
     node[keys[-1]] = _plain(_parse(value, where), (), {})
     return Override(text, keys)
 
 
 def _descend(node: Any, key: str | int) -> Any:
-    """The value to go on in; a mapping that is missing is made."""
+    """The value at a key of a mapping or list. A key that a mapping lacks gets an empty mapping."""
     if isinstance(node, dict) and node.get(str(key)) is None:
         node[key] = {}
     return node[key]

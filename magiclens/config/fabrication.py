@@ -32,12 +32,22 @@ class Fabrication:
 
     def lens(self, written: Mapping[str, Any]) -> dict[str, Any]:
         """The mapping at the key ``lens``: what is written there, laid over the machine's own defaults."""
+        # a material and an ior together would be a mistake, so an ior that is written takes the material's place
         usual = {key: value for key, value in self.profile.lens.items() if key != "material" or not written.get("ior")}
         usual = {**self.machine.limits, **usual}
+        # null in a spec counts as not written where the machine has a default
         return {**usual, **{key: value for key, value in written.items() if value is not None or key not in usual}}
 
     def suited(self, scenarios: Mapping[str, Choice], wall_mm: float) -> dict[str, Choice]:
-        """Stages by kind that suit both scenario and machine; where they want different types, the scenario decides."""
+        """Stages that suit both scenario and machine; where they want different types, the scenario decides.
+
+        Args:
+            scenarios: Stages that suit the scenario, by kind.
+            wall_mm: Width of the walls between facets; mills get a step limit that follows from it.
+
+        Returns:
+            Types and options of stages, by kind.
+        """
         own = {kind: dict(usual) for kind, usual in self.profile.stages.items()}
         if isinstance(self.machine, Mill) and "integrator" in own:
             own["integrator"]["step_limit"] = LENGTH.text(round(self.machine.step_mm(wall_mm), 4))
@@ -53,8 +63,16 @@ class Fabrication:
         return {_KEY: self.name, **self.machine.model_dump(mode="json", exclude_none=True)}
 
     def objections(self, lens: LensSpec) -> Iterator[tuple[str, str]]:
-        """What the machine cannot make: keys of ``lens``, each with the reason."""
+        """What the machine cannot make.
+
+        Args:
+            lens: The lens, as the spec and the machine's defaults have it.
+
+        Yields:
+            Keys of ``lens``, each with the reason.
+        """
         machine = self.machine
+        # the top may be a relief above its mean height, which is the lens's thickness, and a relief below it
         least, most = machine.thickness
         if lens.thickness + lens.relief > most:
             room = LENGTH.text(most - lens.relief)

@@ -33,7 +33,7 @@ class Context(TypedDict, total=False):
 
 
 class Inputs(dict[Path, str]):
-    """Collects the files that a spec names while it is dumped, each with its path in a run folder."""
+    """The files that a spec names, each with its path in a run folder; filled while the spec is dumped."""
 
     def portable(self, path: Path) -> str:
         """A file's path in a run folder, ``inputs/<name>``; files of equal names get different ones."""
@@ -63,6 +63,7 @@ def _find(value: object, info: ValidationInfo) -> Path:
 def _picture(path: Path) -> Path:
     from magiclens.images.files import read_image
 
+    # read in full: a picture that is broken is then a mistake of the spec, with its line, and no run begins
     try:
         read_image(path)
     except InputError as error:
@@ -93,7 +94,7 @@ ImageFile = Annotated[InputFile, AfterValidator(_picture)]
 """A picture file that can be read."""
 
 ART_FORMAT = "magic-lens-art"
-"""The ``format`` of names of art in JSON Schemas, until the names are known and replace it."""
+"""The ``format`` that marks names of art in JSON Schemas; ``json_schema`` puts the list of names in its place."""
 
 ArtName = Annotated[str, AfterValidator(_known_art), WithJsonSchema({"type": "string", "format": ART_FORMAT})]
 """The name of a built-in picture or of one that a plugin contributes."""

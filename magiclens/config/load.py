@@ -18,6 +18,9 @@ def load_spec(path: str | Path, overrides: Iterable[str] = ()) -> Spec:
         path: The spec, a YAML file.
         overrides: Values to change, as text ``key.path=value``, such as ``lens.facets=64``.
 
+    Returns:
+        The spec, with the defaults of the machine that it names.
+
     Raises:
         InputError: The spec has a mistake. The message names file, line and key, and proposes what to write.
     """

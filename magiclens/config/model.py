@@ -31,7 +31,7 @@ class SpecModel(BaseModel):
 
 
 def _material_names(schema: dict[str, Any]) -> None:
-    """List the materials in a JSON Schema."""
+    """Put the names of all materials into the JSON Schema of the field, so that editors propose them."""
     schema["anyOf"] = [{"enum": [*materials()]}, {"type": "null"}]
 
 
@@ -39,6 +39,7 @@ class LensSpec(SpecModel):
     """The lens: its size, its facets, its material and its limits."""
 
     size: Length = Field("100mm", validate_default=True, gt=0, description="side of the square lens")
+    # strict, here and below: pydantic would take the text '32' for 32, and true for 1
     facets: int = Field(32, strict=True, ge=1, le=1024, description="facets along one side")
     microfacets: int = Field(22, strict=True, ge=1, le=256, description="micro-facets along one side of a facet")
     thickness: Length = Field("40mm", validate_default=True, gt=0, description="height of the reference plane")
@@ -90,6 +91,7 @@ class LensSpec(SpecModel):
     @model_validator(mode="before")
     @classmethod
     def _default_material(cls, data: Any) -> Any:
+        # not the default of the field: a spec that gives an ior would then have both
         if isinstance(data, dict) and data.get("material") is None and data.get("ior") is None:
             return {**data, "material": "acrylic"}
         return data
@@ -113,14 +115,14 @@ class LensSpec(SpecModel):
 
 
 class Viewer(SpecModel):
-    """Where the eye is; a pinhole."""
+    """Where the eye is. It is a pinhole."""
 
     distance: Length = Field("400mm", validate_default=True, gt=0, description="from the reference plane to the eye")
     x: Length = Field("0mm", validate_default=True, description="to the right of the lens's centre")
     y: Length = Field("0mm", validate_default=True, description="above the lens's centre, as the viewer sees it")
 
     def eye_mm(self, lens: Lens) -> FloatArray:
-        """(3,) float64, world frame."""
+        """Position of the eye: (3,) float64, mm, world frame."""
         return np.array([self.x, self.y, lens.thickness_mm + self.distance])
 
 
@@ -144,7 +146,7 @@ class Medium(SpecModel):
     @field_validator("white")
     @classmethod
     def _white_is_brighter(cls, value: float, info: ValidationInfo) -> float:
-        black = info.data.get("black", 0.0)
+        black = info.data.get("black", 0.0)  # it is missing if it has a mistake of its own
         if value <= black:
             raise ValueError(f"white must be brighter than black, more than {FRACTION.text(black)}")
         return value
@@ -156,7 +158,7 @@ class Medium(SpecModel):
             linear: Linear light of any shape, 0 to 1.
 
         Returns:
-            Float32 of the same shape, where 1 is the medium's white, since the eye adapts to that.
+            Linear light, float32, of the same shape. 1 is the medium's white, since the eye adapts to that.
         """
         darkest = self.black / self.white
         seen: FloatArray = np.float32(darkest) + np.float32(1 - darkest) * linear
@@ -223,6 +225,7 @@ class ReportSpec(SpecModel):
 class Spec(SpecModel):
     """A whole spec. Every key but ``scenario`` has a default."""
 
+    # a folder gets this name: no slashes, and no dot at the start, which would hide it or leave the folder ('..')
     name: str = Field("lens", pattern=r"^[A-Za-z0-9][A-Za-z0-9._ -]*$", description="names the run folder")
     seed: int = Field(0, strict=True, ge=0, description="equal seeds give equal lenses")
     scenario: Choice = Field(description="what the lens shows, from where")

@@ -39,6 +39,9 @@ def json_schema(scenarios: _Classes, stages: Mapping[str, _Classes], art: Iterab
         scenarios: Scenarios by type.
         stages: By kind, the stages of that kind by type.
         art: Names of all pictures.
+
+    Returns:
+        The schema as JSON data. Every class has a definition of its own, ``<kind>-<type>``.
     """
     spec = Spec.model_json_schema(ref_template=f"{_REF}{{model}}", schema_generator=Draft7)
     definitions = spec.pop("$defs")
@@ -60,6 +63,7 @@ def json_schema(scenarios: _Classes, stages: Mapping[str, _Classes], art: Iterab
 
 def _definition(noun: str, type_: str, cls: type[BaseModel]) -> dict[str, Any]:
     """The options of one class and the ``type`` that picks it, its own definitions inside."""
+    # inside, since classes of different plugins may use models of the same name
     template = f"{_REF}{noun}-{type_}/definitions/{{model}}"
     try:
         schema = cls.model_json_schema(ref_template=template, schema_generator=Draft7)
@@ -82,6 +86,7 @@ def _machine(process: str, model: type[BaseModel]) -> dict[str, Any]:
 
 def _one_of(noun: str, classes: _Classes) -> dict[str, Any]:
     choices = [{"$ref": f"{_REF}{noun}-{type_}"} for type_ in sorted(classes)]
+    # an empty oneOf is not allowed in JSON Schema
     return {"oneOf": choices} if choices else {"type": "object"}
 
 
@@ -91,7 +96,7 @@ def _any_of(kind: str, classes: _Classes) -> dict[str, Any]:
 
 
 def _set(schema: dict[str, Any], choice: dict[str, Any]) -> None:
-    """Replace what a value may be; its title and description stay."""
+    """Replace what a value may be, in place; its title and description stay."""
     kept = {key: schema[key] for key in ("title", "description") if key in schema}
     schema.clear()
     schema.update(kept | choice)
@@ -105,6 +110,8 @@ def _as_draft_7(node: Any) -> Any:
         return node
     if node.get("format") == ART_FORMAT:
         return {"$ref": f"{_REF}{_ART_DEFINITION}"}
+    # OpenAPI's 'discriminator' stands beside 'oneOf'; anywhere else it may be the name of an option
     gone = {"$defs"} | ({"discriminator"} if "oneOf" in node else set())
+    # the items of a tuple: draft 7 lists them under 'items'
     renamed = {"prefixItems": "items"} if node.get("type") == "array" else {}
     return {renamed.get(key, key): _as_draft_7(value) for key, value in node.items() if key not in gone}

@@ -80,6 +80,7 @@ def _models_at(model: type[BaseModel], at: Keys) -> list[type[BaseModel]]:
     for step in at:
         tagged = [m for m in found if step in _tag(m)]
         fields = [m.model_fields[step].annotation for m in found if isinstance(step, str) and step in m.model_fields]
+        # an index of a list is neither a tag nor a field: the models of its items are those found already
         found = tagged or [m for field in fields for m in _models_in(field)] or found
     return found
 
@@ -93,6 +94,7 @@ def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
 
 
 def _tag(model: type[BaseModel]) -> tuple[Any, ...]:
+    """The values of a model's ``type`` by which a union picks it; none if it has no such field."""
     field = model.model_fields.get("type")
     return get_args(field.annotation) if field else ()
 
@@ -106,10 +108,10 @@ def _words_in_quotes(text: str) -> list[str]:
 
 
 def _as_written(bound: Any, written: Any) -> Any:
-    """A bound in a unit of the kind in which the value was written."""
+    """A bound with a unit, if the value was written with one: 90deg where it was 100deg, 90 where it was 100."""
     if not isinstance(bound, int | float) or not isinstance(written, str):
         return bound
-    # pydantic knows the plain numbers only: 90, where the user has written 100deg
+    # pydantic knows the bounds as plain numbers only
     for quantity in (FRACTION, ANGLE, LENGTH):
         if re.match(quantity.pattern, written.strip()):
             return quantity.text(bound)

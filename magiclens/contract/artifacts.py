@@ -47,7 +47,7 @@ class _ReadOnly:
         for f in fields(self):  # type: ignore[arg-type]
             value = getattr(self, f.name)
             if isinstance(value, np.ndarray):
-                value.flags.writeable = False
+                value.flags.writeable = False  # not of a copy: its maker can no longer write to it either
             elif isinstance(value, dict):
                 object.__setattr__(self, f.name, MappingProxyType(dict(value)))
 
@@ -102,7 +102,7 @@ class Lens:
     def facet_centres_mm(self) -> FloatArray:
         """Centres of the facets on the reference plane: (N, N, 2) float64 as (x, y), mm, lens frame."""
         c = (np.arange(self.facets) + 0.5) * self.pitch_mm - self.size_mm / 2
-        return np.stack(np.broadcast_arrays(c[None, :], -c[:, None]), axis=-1)
+        return np.stack(np.broadcast_arrays(c[None, :], -c[:, None]), axis=-1)  # row 0 is at +y
 
     def cut_along(self, eye_mm: FloatArray) -> FloatArray | None:
         """The eye along whose rays facets are cut; None if they are cut vertically.
@@ -166,9 +166,10 @@ class View(Viewpoint, _ReadOnly):
 
     def in_lens_frame(self) -> View:
         """The same view in the lens frame: the rotation is 0; source, target and eye are turned back instead."""
-        k = self.quarter_turns
+        k = self.quarter_turns  # rot90 turns counter-clockwise, as the lens does, so -k turns back
         return View(
             self.name,
+            # rot90 gives a view with other strides; to numba that is another type, for which it compiles again
             np.ascontiguousarray(np.rot90(self.source, -k)),
             np.ascontiguousarray(np.rot90(self.target, -k)),
             self.eye_in_lens_frame_mm,
@@ -261,7 +262,7 @@ class Assignment(_ReadOnly):
         """
         i, j = np.indices(choice.shape)
         return cls(
-            np.array(choice, np.int64),
+            np.array(choice, np.int64),  # a copy: the artifact makes its arrays read-only, the caller's stays as it is
             candidates.offsets_mm[i, j, choice],
             candidates.maps[i, j, choice],
             candidates.errors[i, j, choice],
@@ -381,7 +382,8 @@ class Transport:
         """The matrix after counter-clockwise quarter turns of lens and eye together; both rasters must be square."""
         if quarter_turns % 4 == 0:
             return self
-        # turning both rasters renumbers the rows and columns of the matrix; its entries stay
+        # turning both rasters renumbers the rows and columns of the matrix; its entries stay. The picture turns with
+        # the lens; seen from the lens the source turns the other way, hence the minus
         pixels, sources = (
             np.rot90(np.arange(rows * columns, dtype=np.int32).reshape(rows, columns), turns).ravel()
             for (rows, columns), turns in ((self.shape, quarter_turns), (self.source_shape, -quarter_turns))

@@ -29,15 +29,18 @@ _T = TypeVar("_T")
 
 
 class BadArtifact(ValueError):
-    """An artifact breaks the contract of its stage; the message says how."""
+    """An artifact breaks the contract of its stage; the message says how. Runs turn it into a StageError."""
 
 
 def check_candidates(lens: Lens, found: object) -> None:
-    """Check a matcher's candidates: shapes that fit the lens, finite numbers, at least one candidate per facet."""
+    """Check a matcher's candidates: shapes that fit the lens, finite numbers, at least one candidate per facet.
+
+    That errors ascend is not checked here: rematching may return them in another order.
+    """
     candidates = _is(Candidates, found)
     k = candidates.errors.shape[-1] if candidates.errors.ndim == 3 else 0
     n = lens.facets
-    _shape("errors", candidates.errors, (n, n, max(k, 1)))
+    _shape("errors", candidates.errors, (n, n, max(k, 1)))  # at least 1, so that K = 0 is refused
     _shape("offsets_mm", candidates.offsets_mm, (n, n, k, 2))
     _shape("maps", candidates.maps, (n, n, k, 3))
     # an error of inf marks the free end of a list, where the other arrays may hold anything
@@ -81,6 +84,7 @@ def check_height_field(lens: Lens, found: object) -> None:
 def check_solid(found: object) -> None:
     """Check a finisher's solid: finite vertices, faces that refer to them, a grid that is not larger than the solid."""
     solid = _is(Solid, found)
+    # the smallest closed mesh, a tetrahedron, has four vertices and four faces
     _shape("vertices", solid.vertices, (max(len(solid.vertices), 4), 3))
     _shape("faces", solid.faces, (max(len(solid.faces), 4), 3))
     _finite("vertices", solid.vertices)

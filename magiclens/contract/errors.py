@@ -31,4 +31,8 @@ class StageError(MagicLensError):
 
 
 class Terminated(SystemExit):
-    """A signal has asked the program to end: no error of the stage that is running, which must let it pass."""
+    """A signal has asked the program to end.
+
+    It is no error of the stage that is running, so it is no ``Exception``: a stage that catches all of these lets it
+    pass.
+    """

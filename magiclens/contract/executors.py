@@ -62,7 +62,7 @@ class Serial(Executor):
         for item in items:
             try:
                 yield function(item)
-            except Exception as error:
+            except Exception as error:  # not BaseException: Ctrl-C and signals end the whole list
                 yield error
 
 
@@ -87,6 +87,7 @@ class Processes(Executor):
         try:
             yield from threads.map(partial(self._work, free, function), items)
         finally:
+            # waits for the items that are being worked on; then every process is in the queue again
             threads.shutdown(cancel_futures=True)
             while not free.empty():
                 free.get().shutdown()
@@ -100,7 +101,7 @@ class Processes(Executor):
     def _work(
         self, free: SimpleQueue[ProcessPoolExecutor], function: Callable[[_Item], _Result], item: _Item
     ) -> _Result | Exception:
-        process = free.get()
+        process = free.get()  # never waits: there are as many processes as threads
         try:
             return process.submit(function, item).result()
         except BrokenProcessPool:
@@ -123,6 +124,7 @@ def raising(results: Iterable[_Result | Exception]) -> Iterator[_Result]:
 
 def cores() -> int:
     """Number of cores that this process may use."""
+    # affinity, where the system has it: a job scheduler may give a process fewer cores than the machine has
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

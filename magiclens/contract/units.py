@@ -1,7 +1,8 @@
 """Types of options with a unit: text in a spec, plain millimetres, degrees and fractions in the program.
 
 ``Length``, ``Angle`` and ``Fraction`` annotate pydantic fields: they take text such as ``10cm``, hold a float, and
-turn back into text when a model is dumped as JSON. Defaults are text too: ``Field("5mm", validate_default=True)``.
+turn back into text when a model is dumped as JSON. Defaults are text too: ``Field("5mm", validate_default=True)``. Type
+checkers accept a default of another type only where the field itself says ``validate_default=True``.
 """
 
 from __future__ import annotations
@@ -63,6 +64,7 @@ class Quantity:
 
     def _guess(self, number: object) -> str:
         value = float(str(number))
+        # a bare 0.1 was most probably meant as a fraction, so as 10%; a bare 10 as 10%
         return self.text(value) if self.written == "%" and abs(value) <= 1 else f"{_digits(value)}{self.written}"
 
 
@@ -131,7 +133,7 @@ class LengthOrPercent:
     @classmethod
     def parse(cls, value: object) -> LengthOrPercent:
         """The value of a text; a ValueError says what is wrong."""
-        if isinstance(value, cls):
+        if isinstance(value, cls):  # a default, which ``relative`` has made
             return value
         if _is_number(value):
             raise ValueError(f"{value} is a bare number; write a length such as '{value}mm' or a share such as '10%'")

@@ -85,6 +85,7 @@ class LeastSquaresEncoder(Encoder):
     ) -> FloatArray:
         """One source (H, W, C) for its views, whose pictures have this shape (rows, columns)."""
         given = views[0].source
+        # in the order in which ``_SourceMatrix`` stacks the matrices of the views
         targets = np.concatenate([resize(view.target, shape).reshape(-1, given.shape[-1]) for view in views])
         flat = given.reshape(-1, given.shape[-1])
         out = flat.copy()
@@ -118,13 +119,15 @@ class LeastSquaresEncoder(Encoder):
         weight = _steepness(targets) ** 2
         curvature = matrix.back(weight * through)
         pull = np.float32(self.pull) * np.median(curvature, axis=0)
-        curvature += pull + np.float32(1e-12)
+        curvature += pull + np.float32(1e-12)  # not 0 where a pixel has no weight and there is no pull
+        # x: the sources; y: x carried on by the last change, where the next slope is taken (Nesterov)
         x = y = start
         momentum = 1.0
         for _ in range(self.iterations):
             slope = matrix.back(weight * (matrix.see(y) - want)) + pull * (y - start)
             before, x = x, np.clip(y - slope / curvature, low, high)
-            if ((y - x) * (x - before)).sum() > 0:  # overshot: start the acceleration anew
+            # the last change went uphill: start the acceleration anew
+            if ((y - x) * (x - before)).sum() > 0:
                 momentum = 1.0
             faster = (1 + np.sqrt(1 + 4 * momentum**2)) / 2
             y = x + np.float32((momentum - 1) / faster) * (x - before)
@@ -135,8 +138,13 @@ class LeastSquaresEncoder(Encoder):
 class _SourceMatrix:
     """The stacked matrices of views that share a source, on the columns of pixels that may be painted.
 
-    columns: (n,) int64 of these pixels. rim, inside: (r,) int64 paintable pixels that no ray sees, but within
-    ``bleed_px`` of painted ones, and the nearest of these. free: (S,) pixels that nobody needs.
+    S is the number of pixels of the source.
+
+    Attributes:
+        columns: (n,) int64 indices of the pixels that rays see and that may be painted.
+        rim: (r,) int64 indices of paintable pixels that no ray sees, within ``bleed_px`` of painted ones.
+        inside: (r,) int64 indices of the painted pixel that is nearest to each pixel of the rim.
+        free: (S,) whether a pixel may be painted, is seen by no ray and is not on the rim.
     """
 
     def __init__(self, transports: Sequence[Transport], paintable: BoolArray | None, bleed_px: float):
@@ -170,7 +178,16 @@ class _SourceMatrix:
 
 
 def _rim(painted: BoolArray, paintable: BoolArray | None, bleed_px: float) -> tuple[IntArray, IntArray]:
-    """Pixels near ``painted`` ones (H, W), and for each the nearest of these, as indices of the flat source."""
+    """The rim of the painted pixels.
+
+    Args:
+        painted: (H, W) pixels that are painted.
+        paintable: (H W,) pixels that may be painted; None if all may.
+        bleed_px: largest distance of the rim from painted pixels, pixels.
+
+    Returns:
+        Indices of the pixels of the rim, and for each that of the nearest painted pixel, in the flat source.
+    """
     if bleed_px <= 0 or not painted.any():
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     from scipy.ndimage import distance_transform_edt
@@ -192,7 +209,7 @@ def _exposure(wanted: float | None, through: FloatArray) -> float:
     """The factor between targets and pictures; ``through``: (rows, C) picture of a white source."""
     if wanted is not None:
         return wanted
-    lit = through[:, 0][through[:, 0] > 0]
+    lit = through[:, 0][through[:, 0] > 0]  # all channels are alike, since the matrix is the same for them
     return min(float(np.quantile(lit, _SHARE_BELOW_EXPOSURE)), 1.0) if len(lit) else 1.0
 
 

@@ -40,6 +40,7 @@ def _number(value, decimals, out, at):
         at, value = at + 1, -value
     while decimals > 0 and value % 10 == 0:
         value, decimals = value // 10, decimals - 1
+    # at least one digit before the point: 0.05, not .05
     length, rest = 1, value // 10
     while rest > 0 or length <= decimals:
         length, rest = length + 1, rest // 10

@@ -30,9 +30,11 @@ class Glb(Exporter):
         points = _upright(solid.vertices)
         faces = np.ascontiguousarray(solid.faces, "<u4")
         head = json.dumps(_asset(scene.lens, points, faces), separators=(",", ":")).encode()
+        # chunks are multiples of 4 bytes: JSON is padded with blanks, the body has 12 bytes for every vertex and face
         head += b" " * (-len(head) % 4)
         body = points.tobytes() + faces.tobytes()
         with path.open("wb") as file:
+            # the length of the whole file: 12 bytes here, 8 at the head of each chunk
             file.write(struct.pack("<4sII", b"glTF", 2, 28 + len(head) + len(body)))
             file.write(struct.pack("<I4s", len(head), b"JSON") + head)
             file.write(struct.pack("<I4s", len(body), b"BIN\0") + body)
@@ -45,7 +47,14 @@ def _upright(vertices: FloatArray) -> FloatArray:
 
 
 def _asset(lens: Lens, points: FloatArray, faces: IntArray) -> dict[str, Any]:
-    """The description of one mesh of clear plastic."""
+    """The description of one mesh of clear plastic.
+
+    Args:
+        lens: Tells index of refraction and thickness.
+        points: (V, 3) float32 vertices in glTF's frame, metres.
+        faces: (F, 3) uint32 indices of vertices.
+    """
+    # glTF demands the extent of positions
     extent = {"min": points.min(axis=0).tolist(), "max": points.max(axis=0).tolist()}
     glass = {
         "KHR_materials_transmission": {"transmissionFactor": 1.0},

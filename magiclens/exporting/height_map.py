@@ -48,17 +48,18 @@ class HeightMap(Exporter):
         path.with_suffix(".json").write_text(meaning + "\n", encoding="utf-8")
 
     def _side(self, size_mm: float) -> int:
-        """Pixels per side that divide the lens evenly."""
+        """Number of pixels per side: the lens is divided evenly, into pixels about as large as wanted."""
         side = round(size_mm / self.pixel)
         if 2 <= side <= _MOST_PIXELS:
             return side
+        # 5e-5 rounds up to four decimals, so that the pixel that is proposed is not too small again
         near = LENGTH.text(size_mm / 2 if side < 2 else round(size_mm / _MOST_PIXELS + 5e-5, 4))
         wish = f"'{LENGTH.text(self.pixel)}' gives {side} x {side} pixels; 2 to {_MOST_PIXELS} per side are possible"
         raise InputError(f"{wish}, the nearest is '{near}'", "exporter heightmap: pixel")
 
 
 def _write(z: FloatArray, low: float, high: float, path: Path, pixel_mm: float) -> None:
-    """Heights (rows, columns) as greys; what is beside the solid is black."""
+    """Write heights (rows, columns), mm, as greys from ``low``, black, to ``high``, white; NaN (no solid) is black."""
     from PIL import Image
 
     greys = np.rint((np.nan_to_num(z, nan=low) - low) * (_WHITE / (high - low))).astype(np.uint16)

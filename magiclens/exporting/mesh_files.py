@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
 STL_HEADER = b"magiclens, binary STL, unit: millimetre".ljust(80)
+"""The first 80 bytes of an STL file. They must not begin with ``solid``, by which programs know STL files of text."""
 
 
 class Stl(Exporter):

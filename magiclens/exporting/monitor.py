@@ -33,6 +33,7 @@ class Monitor(Exporter):
     def export(self, scene: Scene, solid: Solid, path: Path) -> None:
         """Write the picture of each source. Raises InputError if a screen cannot be that large."""
         size_mm, pixel_mm = scene.lens.source_size_mm, 25.4 / self.ppi
+        # less 1e-6: a source of a whole number of pixels must not get one more by rounding
         side = math.ceil(size_mm / pixel_mm - 1e-6)
         if side > _MOST_PIXELS:
             wish = f"{size_mm:g} mm at {self.ppi:g} ppi are {side} pixels per side, more than {_MOST_PIXELS}"
@@ -50,7 +51,7 @@ def resampled(linear: FloatArray, side: int, across: float) -> FloatArray:
     Args:
         linear: (H, W, C) linear light.
         side: new pixels per side of the paper.
-        across: width of the picture in new pixels, at most ``side``.
+        across: width of the picture in new pixels, at most ``side``; it need not be a whole number.
 
     Returns:
         (side, side, C) float32, linear light.
@@ -60,10 +61,15 @@ def resampled(linear: FloatArray, side: int, across: float) -> FloatArray:
 
 
 def _resampled_rows(image: FloatArray, side: int, across: float) -> FloatArray:
-    """(side, ...) means over rows: differences of the running integral, which goes on with 1 beside the picture."""
+    """(side, ...) means over rows: differences of the running integral, which goes on with white (1) beside it.
+
+    ``old`` is the number of old rows that a new one covers; ``edges`` are the borders of the new rows, counted in old
+    ones.
+    """
     old = len(image) / across
     edges = (np.arange(side + 1) - side / 2) * old + len(image) / 2
     within = np.clip(edges, 0, len(image))
+    # float64: differences of large sums in float32 would lose the last bits of the light
     integral = np.zeros((len(image) + 1, *image.shape[1:]))
     np.cumsum(image, axis=0, out=integral[1:])
     below = np.minimum(within.astype(int), len(image) - 1)

@@ -36,7 +36,12 @@ _Box = tuple[float, float, float, float]
 class Page:
     """A page of the print sheet: a source, the views that use it, and where the lens lies.
 
-    source: (H, W, C) linear light. outlines: of the lens's bottom, one for each way it lies on the source.
+    Attributes:
+        title: The page's first line.
+        lens: The lens.
+        source: (H, W, C) linear light.
+        views: The views that use the source.
+        outlines: Outlines of the lens's bottom, mm, world frame: one for each way in which it lies on the source.
     """
 
     title: str
@@ -56,7 +61,7 @@ class Page:
 
     @property
     def corner(self) -> tuple[float, float]:
-        """x of the upright ruler and y of the level one: beside marks and labels."""
+        """x of the upright ruler and y of the level one, mm: beside marks and labels."""
         left, bottom, _, _ = self.middle
         return min(-_RULED / 2 - _TEXT, left - _LABEL), min(-_RULED / 2 - _TEXT, bottom - _LABEL)
 
@@ -65,11 +70,12 @@ class Page:
         """The box that everything covers, with rows of text above and below."""
         (left, low), (_, _, right, top) = self.corner, self.middle
         beside, above = max(_RULED / 2 + _TEXT, right + _LABEL), max(_RULED / 2 + _TEXT, top + _LABEL)
+        # above: the three lines of ``_head`` and half a row of space
         return left - _RULER, low - _RULER - _ROW, beside, above + 3.5 * _ROW
 
     @property
     def needs_mm(self) -> tuple[float, float]:
-        """Width and height of the smallest paper."""
+        """Width and height of the smallest paper that has room for the page."""
         left, bottom, right, top = self.extent
         return right - left + 2 * _MARGIN, top - bottom + 2 * _MARGIN
 
@@ -98,6 +104,7 @@ def write_pages(drawn: Sequence[Page], paper_mm: tuple[float, float], path: Path
     from reportlab.pdfgen.canvas import Canvas
 
     width, height = paper_mm
+    # invariant: without a date and a random id
     canvas = Canvas(str(path), (width * _POINTS, height * _POINTS), pageCompression=1, invariant=1)
     canvas.setTitle(drawn[0].title.partition(" (")[0])
     canvas.setCreator("magiclens")
@@ -129,6 +136,7 @@ def _draw(canvas: Canvas, page: Page) -> None:
     _picture(canvas, page)
     for box in page.outlines:
         _marks(canvas, box, page.middle)
+        # above a gap, slanting rays reach beyond the outline, so a line inside the source would be seen
         if page.lens.gap_mm == 0 or max(map(abs, box)) >= page.lens.source_size_mm / 2:
             _outline(canvas, box)
     for turn in range(4):
@@ -168,7 +176,7 @@ def _marks(canvas: Canvas, box: _Box, middle: _Box) -> None:
 
 
 def _label(canvas: Canvas, page: Page, turn: int) -> None:
-    """An arrow and the names of views, at the side that the lens's top points to after so many quarter turns."""
+    """An arrow and the names of views, at the page's side where the lens's +y side is after so many quarter turns."""
     names = [view.name for view in page.views if view.quarter_turns == turn]
     if not names:
         return
@@ -183,7 +191,7 @@ def _label(canvas: Canvas, page: Page, turn: int) -> None:
     canvas.drawPath(arrow, stroke=0, fill=1)
     room = max(right - left, _ROOM)
     canvas.translate(0.0, _MARK + 1.5)
-    if turn == 2:  # else it would stand on its head
+    if turn == 2:  # else the text would be upside down
         canvas.rotate(180)
         canvas.translate(0.0, -_TEXT * 0.7)
     _write(canvas, f"lens's top here: {listed(names)}", _FONT, _TEXT, -room / 2, 0.0, room, centred=True)
@@ -191,7 +199,7 @@ def _label(canvas: Canvas, page: Page, turn: int) -> None:
 
 
 def _ruler(canvas: Canvas, x: float, y: float, turn: float) -> None:
-    """100 mm, its middle at (x, y), marks on the right of its direction."""
+    """A ruler of 100 mm, its middle at (x, y); ``turn`` degrees counter-clockwise from +x, its marks to the right."""
     canvas.saveState()
     canvas.translate(x, y)
     canvas.rotate(turn)
@@ -218,6 +226,7 @@ def _head(page: Page) -> Iterable[tuple[str, str, float]]:
 
 def _viewpoint(page: Page) -> str:
     """From where to look: where the eyes of a page's views are."""
+    # heights are measured from the sheet, which lies a gap below z = 0; + 0.0 turns -0.0 into 0.0
     eyes = {view.name: (view.eye_mm + np.array([0, 0, page.lens.gap_mm])).round() + 0.0 for view in page.views}
     first = next(iter(eyes.values()))
     if any((eye != first).any() for eye in eyes.values()):

@@ -45,7 +45,7 @@ class Slices(Exporter):
 
         grid = VoxelGrid.around(solid, (25.4 / self.dpi_x, 25.4 / self.dpi_y), self.layer)
         self._check(grid)
-        filled = 0
+        filled = 0  # number of voxels
         with ZipFile(path, "w") as archive:
             for k, (bitmap, changed) in enumerate(layers(solid, grid)):
                 if changed or k == 0:  # layers that are alike are compressed once

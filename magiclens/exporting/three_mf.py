@@ -14,7 +14,7 @@ from magiclens.contract.stages import Exporter
 from magiclens.exporting.archive import entry
 
 _NANOMETRE = 6
-"""Decimals of a millimetre that vertices have."""
+"""Number of decimals of coordinates in mm, so that they are exact to the nanometre."""
 _CHUNK = 1 << 16
 """Rows of numbers that are turned to text at one time."""
 
@@ -85,5 +85,6 @@ def _model(scene: Scene, solid: Solid) -> Iterator[bytes]:
     yield b"</vertices>\n<triangles>\n"
     for k in range(0, len(solid.faces), _CHUNK):
         yield text_rows(solid.faces[k : k + _CHUNK].astype(np.int64), _TRIANGLE)
+    # + 0.0 turns -0.0 into 0.0, which is written without a sign
     moved = (f"{-low + 0.0:.6f}" for low in solid.vertices.min(axis=0))
     yield _TAIL.format(" ".join(moved)).encode()

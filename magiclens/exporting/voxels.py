@@ -28,8 +28,11 @@ class VoxelGrid:
 
     No voxel outside has its centre in the solid.
 
-    pixel_mm: width (x) and height (y) of a voxel. shape: layers, rows, columns. first_mm: (x, y, z) of the centre of
-    the first voxel: lowest layer, row at +y, column at -x.
+    Attributes:
+        pixel_mm: Width (x) and depth (y) of a voxel.
+        layer_mm: Height (z) of a voxel.
+        shape: Number of layers, rows and columns.
+        first_mm: (x, y, z) of the centre of the first voxel: lowest layer, row at +y, column at -x; lens frame.
     """
 
     pixel_mm: tuple[float, float]
@@ -39,7 +42,7 @@ class VoxelGrid:
 
     @classmethod
     def around(cls, solid: Solid, pixel_mm: tuple[float, float], layer_mm: float) -> VoxelGrid:
-        """The voxels of a solid's bounding box."""
+        """The voxels of a solid's bounding box; ``pixel_mm`` and ``layer_mm`` are those of the class."""
         low, high = solid.vertices.min(axis=0), solid.vertices.max(axis=0)
         sizes = np.array([*pixel_mm, layer_mm])
         columns, rows, layers = (max(int(n), 1) for n in np.rint((high - low) / sizes))
@@ -83,6 +86,7 @@ def _crossings(solid: Solid, grid: VoxelGrid) -> tuple[IntArray, IntArray]:
     x, y = grid.columns_mm(), grid.rows_mm()
     mesh = RowedMesh(vertices, solid.faces, *rows_at(vertices, y))
     centres = VoxelCentres(x, y, float(grid.first_mm[2]), float(grid.layer_mm))
+    # twice over all faces: the first time only counts, since the places must be one array of the right length
     counts = np.zeros(grid.shape[0] + 1, np.int64)
     sort_crossings(mesh, centres, counts, np.empty(0, np.int32))
     starts = np.concatenate([[0], np.cumsum(counts[:-1])])

@@ -14,7 +14,11 @@ from magiclens.kernels.compiler import njit
 class RowedMesh(NamedTuple):
     """A mesh, and the rows of voxels that each vertex lies between, as ``rows_at`` finds them.
 
-    vertices: (V, 3) float64, mm. faces: (F, 3). first, last: (V,) first row not above the vertex, last not below it.
+    Args:
+        vertices: (V, 3) float64, mm.
+        faces: (F, 3) indices of vertices.
+        first: (V,) the first row that is not above the vertex.
+        last: (V,) the last row that is not below it.
     """
 
     vertices: FloatArray
@@ -24,7 +28,14 @@ class RowedMesh(NamedTuple):
 
 
 class VoxelCentres(NamedTuple):
-    """Where the centres of voxels are, mm: x_mm (columns,) ascending, y_mm (rows,) descending, z = lowest + k layer."""
+    """Where the centres of voxels are: those of layer k at z = lowest + k layer.
+
+    Args:
+        x_mm: (columns,) ascending.
+        y_mm: (rows,) descending.
+        lowest: z of the lowest layer's centres, mm.
+        layer: height of a layer, mm.
+    """
 
     x_mm: FloatArray
     y_mm: FloatArray
@@ -71,7 +82,12 @@ def sort_crossings(mesh, centres, ends, places):
 def flip(bitmap, places, columns):
     """Fill the voxels of some columns that were empty, and empty those that were filled.
 
-    bitmap: (rows, ceil(columns / 8)) uint8, changed in place. places: row * columns + column of each.
+    A place that comes twice stays as it is: between two crossings within one layer no voxel has its centre.
+
+    Args:
+        bitmap: (rows, ceil(columns / 8)) uint8, changed in place; a byte's highest bit is its leftmost voxel.
+        places: row * columns + column of each.
+        columns: number of columns.
     """
     for place in places:
         row, column = place // columns, place % columns

@@ -33,15 +33,18 @@ def iterate(
         assignment: what the facets shall show.
         solve: integrates slopes to heights.
         rounds: rounds, at most.
-        tolerance: mm.
+        tolerance: largest change of a height in a round that ends the iteration, mm.
         progress: is told the share of the rounds that are done.
+
+    Returns:
+        The height field, with metrics of its surface and of the iteration.
 
     Raises:
         StageError: heights do not converge, or leave the relief; it names the facet.
     """
     lens = scene.lens
     heights = np.zeros((lens.facets, lens.facets, lens.microfacets + 1, lens.microfacets + 1))
-    damping, last = 1.0, np.inf
+    damping, last = 1.0, np.inf  # damping: share of each change that is made; halved whenever changes grow
     for done in range(rounds):
         rows, columns, clamped = edge_rises(scene, assignment, heights)
         move = solve(rows, columns, heights, done) - heights
@@ -74,7 +77,7 @@ def check_relief(heights: FloatArray, relief: float) -> None:
         StageError: it names the facet that is tallest.
     """
     tallest = np.abs(heights).max(axis=(2, 3))
-    if tallest.max() > relief * (1 + 1e-9):
+    if tallest.max() > relief * (1 + 1e-9):  # heights that were clipped to the relief may exceed it by rounding
         i, j = np.unravel_index(tallest.argmax(), tallest.shape)
         raise StageError(
             f"facet (row {i}, column {j}) needs {tallest.max():.2f} mm of relief, more than lens.relief: {relief:g}mm; "

@@ -11,7 +11,15 @@ from magiclens.contract.artifacts import FloatArray
 
 @cache
 def cosines(k: int) -> tuple[FloatArray, FloatArray]:
-    """The orthonormal DCT-II matrix (k, k) and the eigenvalues (k, k) of the k x k grid's Laplacian."""
+    """The transform that makes the Laplacian of a grid with free borders diagonal, and its eigenvalues.
+
+    Args:
+        k: vertices along a side of the grid.
+
+    Returns:
+        The orthonormal DCT-II matrix (k, k), and the eigenvalues (k, k) by the frequencies along rows and columns, for
+        a distance of 1 between vertices.
+    """
     from scipy.fft import dct
 
     matrix = dct(np.eye(k), axis=0, norm="ortho")

@@ -30,11 +30,13 @@ class LeastSquaresIntegrator(Integrator):
         from magiclens.integration.iterate import iterate
 
         n, k = scene.lens.facets, scene.lens.microfacets + 1
+        # all facets as one grid of vertices; every k-th edge crosses a wall
         weights = np.ones(n * k - 1)
         weights[k - 1 :: k] = self.continuity
 
         def solve(rows: FloatArray, columns: FloatArray, heights: FloatArray, _: int) -> FloatArray:
             # edges across walls ask for no rise: facing vertices shall coincide
+            # the padding is the rise 0 of those edges; beyond the last facet there is none, so it is cut off
             wide = _join(np.pad(rows.reshape(n, n, k, k - 1), ((0, 0),) * 3 + ((0, 1),)))[:, :-1]
             tall = _join(np.pad(columns.reshape(n, n, k - 1, k), ((0, 0),) * 2 + ((0, 1), (0, 0))))[:-1]
             right = divergence(weights * wide, weights[:, None] * tall)
@@ -83,7 +85,7 @@ def solve_weighted(right: FloatArray, weights: FloatArray, screening: float, sta
     solution, failed = cg(
         LinearOperator(shape, apply),
         right.ravel(),
-        start.ravel(),
+        start.ravel(),  # the heights of the round before, from which they move little
         rtol=1e-7,
         maxiter=400,
         M=LinearOperator(shape, precondition),

@@ -64,7 +64,7 @@ def levels_of_least_lost_light(scene: Scene, shapes: FloatArray, levels: FloatAr
     """
     lens, n = scene.lens, scene.lens.facets
     edges = Edges(_edge_profiles(shapes), built_drifts(scene, shapes)[:, :, None])
-    # the annealer's sweep with a single candidate, no image error and no temperature moves heights only
+    # the annealer's sweep with a single candidate, no error of the picture and no temperature moves heights only
     levels, choice, nothing = levels.copy(), np.zeros((n, n), np.int64), np.zeros((n, n))
     terms = EnergyTerms(cost_of_lost_light(scene), lens.pitch_mm, float(step_weight), _SCREENING)
     for _ in range(_SWEEPS):
@@ -93,6 +93,7 @@ def within_relief(shapes: FloatArray, levels: FloatArray, relief: float) -> Floa
 def _edge_profiles(shapes: FloatArray) -> FloatArray:
     """(N, N, 1, 4, k) float32: the edges of shapes (N, N, k, k), vertex by vertex, as in ``optics.walls``."""
     edges = np.zeros((*shapes.shape[:2], 1, 4, shapes.shape[2]), np.float32)
+    # points of upright edges run along +y, rows the other way
     edges[:, :, 0, RIGHT], edges[:, :, 0, LEFT] = shapes[:, :, ::-1, -1], shapes[:, :, ::-1, 0]
     edges[:, :, 0, UP], edges[:, :, 0, DOWN] = shapes[:, :, 0, :], shapes[:, :, -1, :]
     return edges

@@ -15,7 +15,7 @@ from magiclens.optics.medium import cut_of, optics_of
 
 
 def edge_rises(scene: Scene, assignment: Assignment, heights: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
-    """The rise of h along every mesh edge that shows each point of each tile its source point.
+    """The rise of the height h along every mesh edge with which each point of a tile shows its point of the source.
 
     Each of a cell's two triangles contains one edge of either kind, so these are its exact slopes.
 

@@ -34,7 +34,7 @@ def _rises_part(part, heights, centres, patches, side, optics, rises):
                 if a < m:
                     h = 0.5 * (heights[f, a, b] + heights[f, a + 1, b])
                     _, g, bad = _slope(u, v - 0.5 * d, h, centre, offsets[f], maps[f], optics)
-                    along_v[f, a, b] = -g * d
+                    along_v[f, a, b] = -g * d  # rows go down, v goes up
                     clamped[f] += bad
 
 
@@ -77,6 +77,9 @@ def _slope(u, v, h, centre, offset, m, optics):
         offset: (2,) R of the facet's patch, mm.
         m: (3,) M of the facet's patch as (xx, xy, yy).
         optics: an ``optics.medium.Optics``.
+
+    Returns:
+        dh/du, dh/dv, and whether the slope was held at its limit.
     """
     point = surface_point(optics, u, v, h, optics.depth)
     # the eye sees the surface point where its ray crosses the reference plane: that is the point of the tile

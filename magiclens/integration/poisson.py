@@ -58,7 +58,7 @@ class Poisson(Integrator):
         def solve(rows: FloatArray, columns: FloatArray, _: FloatArray, done: int) -> FloatArray:
             nonlocal levels, screening
             shapes = lenslets(rows, columns).reshape(n, n, k, k)
-            check_relief(shapes, relief)
+            check_relief(shapes, relief)  # a lenslet that is taller than the relief fits at no level
             if self.placement == "steps" or done < _SETTLING:
                 levels, screening = levels_of_least_steps(shapes, screening, relief)
             if self.placement == "light" and done < _SETTLING:
@@ -108,7 +108,7 @@ def lenslets(rows: FloatArray, columns: FloatArray) -> FloatArray:
 
 
 def limit_steps(heights: FloatArray, limit: float) -> FloatArray:
-    """Heights of which no step across a wall exceeds a limit, for tools that cannot cut a cliff.
+    """Heights of which no step across a wall exceeds a limit, for tools that cannot cut steep walls.
 
     What a step has in excess is taken from the border vertices on both sides alike, so that only the outermost
     micro-facets next to too high a step change their slope. Corner vertices have two steps each: passes alternate.
@@ -122,6 +122,7 @@ def limit_steps(heights: FloatArray, limit: float) -> FloatArray:
     """
     h = heights.copy()
     for _ in range(_PASSES):
+        # slightly below the limit: what the last pass leaves is then still within it
         excess = max(
             _share(h[:, :-1, :, -1], h[:, 1:, :, 0], limit - _ENOUGH_MM),
             _share(h[:-1, :, -1, :], h[1:, :, 0, :], limit - _ENOUGH_MM),
@@ -132,7 +133,13 @@ def limit_steps(heights: FloatArray, limit: float) -> FloatArray:
 
 
 def _share(one: FloatArray, other: FloatArray, limit: float) -> float:
-    """Take the excess of the steps between facing border vertices from both, in place; returns the largest, mm."""
+    """Take the excess of the steps between facing border vertices from both, in place; returns the largest, mm.
+
+    Args:
+        one: heights of border vertices, mm; a view into all heights.
+        other: heights of the vertices across the wall, mm, of the same shape; such a view too.
+        limit: largest step that is left, mm.
+    """
     step = one - other
     excess = np.sign(step) * np.maximum(np.abs(step) - limit, 0.0)
     one -= 0.5 * excess

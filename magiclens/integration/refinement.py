@@ -22,7 +22,7 @@ from magiclens.integration.surface_metrics import surface_metrics
 from magiclens.optics.medium import Cut, Optics, optics_of
 
 _BLURS = (0.08, 0.03, 0.0)
-"""Blurs of the sources, one after the other, in facet widths: rays find their way down a blurred edge from far away."""
+"""Blurs of the sources, one after the other, in facet widths. A blurred edge has a gradient even far away from it."""
 LOOK_UP_SCHEDULE = (3, 3, 6)
 """Approximate number of look-ups of the source along a micro-facet's side, per blur.
 
@@ -69,7 +69,7 @@ def refine(
     progress(0.1)
     for stage, (blur, look_ups) in enumerate(zip(_BLURS, LOOK_UP_SCHEDULE, strict=True)):
         if stage == len(_BLURS) - 1:
-            # facets that blurred sources led astray start from their given shapes again, now with a sharp source
+            # facets that blurred sources made worse start from their given shapes again, now with a sharp source
             facets.keep_better(facets.errors())
             if relevel:
                 facets.relevel(relevel)
@@ -89,10 +89,12 @@ def predicted_errors(scene: Scene, built: HeightField) -> FloatArray:
 
 
 class _Facets:
-    """The facets of a height field on their way down.
+    """The facets of a height field while they are refined. Those that are perfect at first stay as they are.
 
-    heights: (F, k, k) mm. first: (F,) mean squared differences, in display values, of what they showed at first and
-    their tiles; infinite where a ray does not arrive. Those that were perfect stay as they are.
+    Attributes:
+        heights: (F, k, k) mm, as they are now.
+        first: (F,) mean squared differences, in display values, of what the facets showed at first and their tiles;
+            infinite where a ray does not arrive.
     """
 
     def __init__(self, scene: Scene, built: HeightField, locked: bool):
@@ -112,7 +114,7 @@ class _Facets:
         self._imperfect = np.flatnonzero(self.first > _PERFECT)
 
     def errors(self) -> FloatArray:
-        """(F,) errors as they are; inf for perfect ones."""
+        """(F,) mean squared differences as the facets are now, see ``first``; inf for perfect ones."""
         return self.descend(0.0, LOOK_UP_SCHEDULE[-1], 0, lambda _: None)
 
     def descend(self, blur: float, look_ups: int, rounds: int, progress: Callable[[float], None]) -> FloatArray:
@@ -139,7 +141,7 @@ class _Facets:
         return errors
 
     def relevel(self, levels_for: Relevel) -> None:
-        """Raise or lower facets, and their given shapes with them; none leaves the relief for it."""
+        """Raise or lower facets, and their given shapes with them; a facet that would leave the relief stays."""
         n, k = self._lens.facets, self._lens.microfacets + 1
         levels = self.heights.mean(axis=(1, 2))
         shapes = (self.heights - levels[:, None, None]).reshape(n, n, k, k)
@@ -148,18 +150,24 @@ class _Facets:
         self.heights, self._given = self.heights + rise, self._given + rise
 
     def keep_better(self, errors: FloatArray) -> BoolArray:
-        """Give facets their given shapes back unless errors (F,) are lower than at first; (F,) where they are."""
+        """Give facets their given shapes back unless errors (F,) are lower than at first; returns (F,) where so."""
         better: BoolArray = (errors < self.first) & (np.abs(self.heights).max(axis=(1, 2)) <= self._lens.relief_mm)
         self.heights = np.where(better[:, None, None], self.heights, self._given)
         return better
 
 
 def _tell(progress: Callable[[float], None], stage: int, done: float) -> None:
+    # the first tenth is for preparation
     progress(0.1 + 0.9 * (stage + done) / len(_BLURS))
 
 
 def samples_of(lens: Lens, look_ups: int) -> Samples:
-    """Where the facets of a lens are sampled, with about so many look-ups along a micro-facet's side."""
+    """Where the facets of a lens are sampled.
+
+    Args:
+        lens: The lens.
+        look_ups: about how many look-ups there are along a micro-facet's side; a pixel has at least 2 x 2.
+    """
     m = lens.microfacets
     pixels = round(min(max(_RESOLUTION / lens.facets, _COARSEST * m), _FINEST * m))
     per_pixel = max(2, round(look_ups * m / pixels))
@@ -186,13 +194,19 @@ def optics_for(built: HeightField) -> Optics:
 
 
 def pictures_of(scene: Scene, pixels: int) -> Pictures:
-    """What the eyes of a scene see and should see, with so many target pixels along a facet's side.
+    """What the eyes of a scene see and should see, lens frame.
 
-    Views that share an eye in the lens frame stand side by side; equal sources are kept once.
+    The channels of views that share an eye in the lens frame follow each other; equal sources are kept once.
+
+    Args:
+        scene: the lens and its views.
+        pixels: target pixels along a facet's side.
     """
+    # rounded, so that eyes that differ by rounding are one; sorted as np.unique sorts, so that ``first`` is right
     lens, given = scene.lens, sorted(scene.views, key=lambda view: tuple(view.eye_in_lens_frame_mm.round(6)))
     views = [view.in_lens_frame() for view in given]
     colours, side = views[0].source.shape[2], max(len(view.source) for view in views)
+    # in the lens frame a source at another rotation is another picture
     names = [(view.source_name, view.quarter_turns) for view in given]
     sources = {name: resize(view.source, (side, side)) for name, view in zip(names, views, strict=True)}
     planes = {name: k * colours for k, name in enumerate(sources)}
@@ -211,5 +225,6 @@ def pictures_of(scene: Scene, pixels: int) -> Pictures:
 
 
 def _blurred(pictures: Pictures, blur_mm: float) -> Pictures:
+    """The same with sources blurred by a Gaussian of this sigma, mm; beside the sources it is dark, as for look-ups."""
     sigma = blur_mm * len(pictures.sources) / pictures.source_mm
     return pictures._replace(sources=gaussian_filter(pictures.sources, (sigma, sigma, 0), mode="constant"))

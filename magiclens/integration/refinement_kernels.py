@@ -23,9 +23,9 @@ from magiclens.optics.eyes import land, project, surface_point
 from magiclens.optics.medium import Optics
 
 _SLOPE_STEP = 1e-4
-"""Step of the finite differences along a triangle's slopes."""
+"""Change of a triangle's slope over which derivatives are taken by finite differences."""
 _SPAN_STEP_MM = 0.02
-"""Step of the finite differences along a triangle's surface, mm."""
+"""Way over a triangle, mm, over which derivatives are taken by finite differences."""
 _LIGHT_STEP = 20
 """Entries of the display table on each side over which its slope is taken: near black it is steep."""
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 0.1, 1e-4, 1e2
@@ -146,7 +146,17 @@ class Rays(NamedTuple):
 def _land(u, v, height, along_u, along_v, eye, optics):
     """Where an eye's ray through the surface over (u, v) meets the source, see ``optics.eyes.land``.
 
-    With ``along_u`` = dh/du and ``along_v`` = dh/dv the unit normal is ``q (-along_u, -along_v, nz)``.
+    With ``along_u`` = dh/du and ``along_v`` = dh/dv the unit normal is ``q (-along_u, -along_v, nz)``. That is the
+    inverse of ``optics.eyes.height_gradient``; nz = 1 for vertical cells.
+
+    Args:
+        u: of the point, on the reference plane, mm.
+        v: the same along +y, mm.
+        height: of the surface there, mm.
+        along_u: slope of the heights along u.
+        along_v: slope of the heights along v.
+        eye: (3,) the eye that looks, mm.
+        optics: an ``optics.medium.Optics``.
 
     Returns:
         x, y of the landing point, mm; whether the ray arrives and the surface is not steeper than allowed.
@@ -226,11 +236,13 @@ def _aim(heights, slopes, centre, eye, samples, optics, derive, rays):
             ax, ay, good = _land(u + du, v + dv, h + a * du + b * dv, a + da, b + db, eye, optics)
             step = _SLOPE_STEP if k < 2 else _SPAN_STEP_MM
             out = rays.by_slope[t, k] if k < 2 else rays.by_position[t, k - 2]
+            # where the neighbouring ray does not arrive, nothing is known: no change is expected
             out[0] = (ax - x) / step if good else 0.0
             out[1] = (ay - y) / step if good else 0.0
     return True
 
 
+# these flags relax rounding alone; none lets the compiler assume that there is no infinity or NaN
 @njit(cache=True, fastmath={"contract", "reassoc", "arcp"})
 def _gather(samples, rays, pictures, e, light, gradients):
     """Add up the source's light over the look-ups of one eye: per pixel, and its derivatives along slopes per pair.
@@ -277,6 +289,7 @@ def _target_at(pictures, e, px, py, out):
     """Fill out (C,) with the targets of eye e at (px, py), mm, between pixels; False beyond the lens's square."""
     targets = pictures.targets
     rows = len(targets)
+    # the centres of the first and the last pixel are at 0 and rows - 1, the square ends half a pixel beyond
     column, row = (px / pictures.size_mm + 0.5) * rows - 0.5, (0.5 - py / pictures.size_mm) * rows - 0.5
     if not (-0.5 <= column <= rows - 0.5 and -0.5 <= row <= rows - 0.5):
         return False
@@ -314,7 +327,7 @@ def predict_facet(heights, centre, samples, pictures, optics, derive, rays, show
     light = np.zeros_like(residuals)
     side, last = samples.pixels, len(pictures.display) - 1
     m, cell = len(heights) - 1, samples.cell_mm
-    each = 1.0 / (samples.per_side // side) ** 2
+    each = 1.0 / (samples.per_side // side) ** 2  # a pixel is the mean of its S x S look-ups
     triangle_slopes(heights, cell, slopes)
     gradients[:] = 0.0
     total, count = 0.0, 0
@@ -392,7 +405,7 @@ def _step(shown, samples, metric, damping, iterations, out):
 
     J are the derivatives of the residuals r along the heights, L is the Laplacian of the vertices, scaled like J'J. The
     solver is conjugate gradients on the cosine spectrum of d, preconditioned by ``1 / (damping (L + flatness) + 0.3
-    L)``, which is diagonal there.
+    L)``, which is diagonal there: 0.3 L takes the place of J'J. J is never stored, only multiplied with.
 
     Args:
         shown: what the facet shows.
@@ -408,7 +421,7 @@ def _step(shown, samples, metric, damping, iterations, out):
     for n in range(len(shown.gradients)):
         for c in range(shown.gradients.shape[2]):
             even += shown.gradients[n, 0, c] ** 2 + shown.gradients[n, 1, c] ** 2
-    even = even / len(shown.slopes) + 1e-12
+    even = even / len(shown.slopes) + 1e-12  # a facet that sees plain areas only has no gradients
     laplacian = even * metric.laplacian
     stiff = damping * (laplacian + even * _FLATNESS)
     inverse = 1.0 / (stiff + 0.3 * laplacian)
@@ -453,6 +466,7 @@ def _refine_part(part, shapes, samples, pictures, optics, metric, descent, error
     rays = Rays(np.zeros((eyes, triangles, 2)), np.zeros((eyes, triangles, 2, 2)), np.zeros((eyes, triangles, 2, 2)))
     slopes, residuals = np.zeros((2, triangles, 2)), np.zeros((2, pixels, channels), np.float32)
     gradients = np.zeros((2, pairs, 2, channels), np.float32)
+    # one of the facet as it is and one of the trial: a step that is taken exchanges them
     predictions = (Shown(slopes[0], residuals[0], gradients[0]), Shown(slopes[1], residuals[1], gradients[1]))
     step = np.zeros((k, k))
     derive = np.bool_(True)  # not the literal, for which numba would compile the prediction apart

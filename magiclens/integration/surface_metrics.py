@@ -22,7 +22,14 @@ def wall_steps(heights: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def facet_slopes_deg(points: FloatArray) -> FloatArray:
-    """(triangles,) angles between +z and the normals of all triangles of facets (N, N, k, k, 3), mm; see ``Solid``."""
+    """Slopes of all triangles of the facets; each cell is cut from its top-left to its bottom-right corner.
+
+    Args:
+        points: (N, N, k, k, 3) vertices of the facets, mm.
+
+    Returns:
+        (2 (k - 1)^2 N^2,) angles between +z and the triangles' normals, degrees.
+    """
     right, down = np.diff(points, axis=3), np.diff(points, axis=2)
     pairs = ((right[:, :, 1:], down[..., :-1, :]), (right[:, :, :-1], down[..., 1:, :]))  # lower left, upper right
     normals = np.concatenate([np.cross(d, r).reshape(-1, 3) for r, d in pairs])
@@ -31,7 +38,7 @@ def facet_slopes_deg(points: FloatArray) -> FloatArray:
 
 
 def surface_metrics(built: HeightField) -> dict[str, float]:
-    """Steps, slopes and extent of a height field, mm and degrees."""
+    """Steps, slopes and extent of a height field, mm and degrees, by their names in the manifest."""
     several = built.lens.facets > 1
     steps = np.concatenate([s.ravel() for s in wall_steps(built.heights_mm)]) if several else np.zeros(1)
     points = built.facet_points_mm()

@@ -17,7 +17,7 @@ class Rectangle(NamedTuple):
 
 
 def top_vertices(solid: Solid) -> FloatArray:
-    """(rows, columns, 3) float64, mm, lens frame: the vertices of the top of a solid that has a grid."""
+    """The vertices of the top of a solid that has a grid: (rows, columns, 3) float64, mm, lens frame."""
     rows, columns = solid.grid or (0, 0)
     return solid.vertices[: rows * columns].reshape(rows, columns, 3)
 

@@ -12,6 +12,7 @@ from magiclens.contract.units import ANGLE, LENGTH, Angle, Length
 from magiclens.milling.outline import Outline
 
 _TEXT = re.compile(r"(\S+) (ball|flat|v)(?:, (\S+), (round|flat) tip (\S+))?, reach (\S+)")
+"""A cutter as text: diameter, shape, for a v cutter angle and tip, and reach."""
 
 
 class Cutter(BaseModel):

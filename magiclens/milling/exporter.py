@@ -1,4 +1,4 @@
-"""The contract of exporters whose files a milling machine runs."""
+"""The base class of exporters whose files a milling machine runs."""
 
 from __future__ import annotations
 

@@ -12,11 +12,20 @@ from magiclens.milling.operation import Operation
 from magiclens.milling.toolpath import Toolpath
 
 _BATCH = 4_000_000
-"""Number of samples that are held at once."""
+"""Number of samples that are held in memory at once."""
 
 
 def add_finishing(op: Operation, path: Toolpath, part: Rectangle) -> float:
-    """Add the lines of a part to a toolpath; returns how far the heights of neighbouring lines differ at most, mm."""
+    """Add the lines of a part to a toolpath, alternately to the right and to the left.
+
+    Args:
+        op: finishing, on the whole solid.
+        path: the toolpath to add to.
+        part: what is milled.
+
+    Returns:
+        How far the heights of neighbouring lines differ at most within the top, mm.
+    """
     nodes, lines = op.nodes(part), op.lines(part)
     _, lift = op.lifts(nodes, lines)
     x0, x1, y0, y1 = inner_rectangle(op.solid)
@@ -27,6 +36,7 @@ def add_finishing(op: Operation, path: Toolpath, part: Rectangle) -> float:
             jump = max(jump, float(np.abs(z - before)[inside].max(initial=0.0)))
         before = z
         points = op.corners(nodes, lines[row], z, op.options.tolerance_mm)[:: -1 if row % 2 else 1]
+        # to the first line over the plate, to others over the surface, high enough for the step to the side
         if row == 0:
             path.travel(*points[0, :2])
         else:

@@ -29,7 +29,9 @@ _WITH_P = {("G", "4"), ("G", "64")}
 """Words that take a parameter P."""
 
 _WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))")
+"""A word: a letter and a number."""
 _COMMENT = re.compile(r"\(([^)]*)\)")
+"""A comment between brackets."""
 
 
 class Gcode(LineMilling):  # noqa: D101 - the docstring goes on with that of the base
@@ -48,6 +50,7 @@ class Gcode(LineMilling):  # noqa: D101 - the docstring goes on with that of the
 
     def write(self, program: MillingProgram, comments: list[str]) -> str:
         """The program as text, one move a line."""
+        # LinuxCNC rounds corners by at most P, so that it need not stop at each; grbl does not know G64
         blend = f" G64 P{self.tolerance_mm:.4f}" if self.flavour == "linuxcnc" else ""
         lines = [f"({_plain(comment)})" for comment in comments]
         return "\n".join([*lines, _MODES + blend, *self._body(program), "M5", "M30", ""])
@@ -67,6 +70,7 @@ class Gcode(LineMilling):  # noqa: D101 - the docstring goes on with that of the
             if number != tool:
                 yield from self._call(number, program.setup.tools[number], first=tool == 0)
                 tool, words = number, _ModalWords()
+                # up first: where a machine leaves the cutter after a change is not known
                 yield words.move(None, None, self.safe_height, 0.0)
             yield words.move(x, y, z, feed)
 
@@ -77,11 +81,11 @@ class Gcode(LineMilling):  # noqa: D101 - the docstring goes on with that of the
         yield f"(cutter {number}: {_plain(str(cutter))})"
         yield from (f"T{number} M6", "G43") if self.flavour == "linuxcnc" else (f"T{number}",)
         yield f"S{self.spindle} M3"
-        yield "G4 P2"
+        yield "G4 P2"  # wait 2 s, until the spindle is up to speed
 
 
 class _ModalWords:
-    """Leaves out the words that are still in force."""
+    """Writes moves, and leaves out the words of G-code that are still in force from earlier lines."""
 
     def __init__(self) -> None:
         self._in_force: dict[str, str] = {}

@@ -34,10 +34,13 @@ _PLATE_MM = 0.01
 
 @dataclass(frozen=True)
 class Job:
-    """Programs in the order in which they run.
+    """The programs that mill a lens, and the plate that they begin with.
 
-    plate_mm: width, depth and thickness of the plate to begin with. depth_mm: how far below the plate's top the lens
-    reaches. slope: the tangent that 99 % of the lens's top, seen from above, do not exceed.
+    Attributes:
+        programs: The programs, in the order in which they run.
+        plate_mm: Width, depth and thickness of the plate to begin with.
+        depth_mm: How far below the plate's top the lens reaches.
+        slope: The tangent that 99 % of the lens's top, seen from above, do not exceed.
     """
 
     programs: tuple[MillingProgram, ...]
@@ -50,6 +53,7 @@ def milling_job(options: MillingOptions, solid: Solid) -> Job:
     """All programs for a solid. Raises InputError if a cutter is too short, the plate too thin or the bed too small."""
     if options.axis == "x":
         return _along_x(options, solid, options.bed)
+    # exchanging x and y mirrors the solid, so the corners of its faces are reversed to keep normals pointing outward
     mirrored = replace(solid, vertices=solid.vertices[:, [1, 0, 2]], faces=solid.faces[:, ::-1])
     job = _along_x(options, mirrored, options.bed[::-1] if options.bed else None)
     width, depth, thickness = job.plate_mm
@@ -109,7 +113,7 @@ def _tiles(options: MillingOptions, whole: Rectangle, bed: tuple[float, float] |
 
 
 def _share(side: float, most: float) -> int:
-    """In how many parts to cut a side."""
+    """Number of equal parts of a side, mm, that each fit ``most`` mm; more than are allowed if ``most`` is tiny."""
     return max(math.ceil(side / (most - _SPARE_MM)), 1) if most > _SPARE_MM else _MOST_TILES + 1
 
 
@@ -123,6 +127,7 @@ def _program(options: MillingOptions, operations: list[Operation], tile: Rectang
     """The program that mills a tile; ``own_zero``: its origin is the tile's middle, not the lens's."""
     step = options.step_mm
     middle = ((tile.x0 + tile.x1) / 2, (tile.y0 + tile.y1) / 2) if own_zero else (0.0, 0.0)
+    # on the machine's grid: all coordinates in the program are then multiples of its step
     x, y = (round(at / step) * step for at in middle)
     path = Toolpath((x, y), math.ceil(options.safe_height / step - 1e-9) * step, options.feed)
     left = math.inf

@@ -95,16 +95,25 @@ def _offset_faces(vertices: FloatArray, faces: IntArray, outline: Outline) -> Of
     slope = -normal[:, :2] / normal[:, 2:]
     steepness = np.linalg.norm(slope, axis=1)
     way, rise = touches(outline, steepness)
-    shift = slope * (way / np.maximum(steepness, 1e-300))[:, None]
+    shift = slope * (way / np.maximum(steepness, 1e-300))[:, None]  # level faces have way 0, and must not divide by 0
     corners = vertices[faces][:, :, :2] - shift[:, None]
     return OffsetFaces(np.ascontiguousarray(corners), vertices[faces[:, 0], 2] - rise, slope)
 
 
 def _ridges(vertices: FloatArray, faces: IntArray) -> IntArray:
-    """(E, 2): edges of the faces, but for those that lie between two of them as the bottom of a valley."""
+    """Edges of the faces, but for those that lie between two of them as the bottom of a valley.
+
+    Args:
+        vertices: (V, 3) mm.
+        faces: (F, 3) faces that can be seen from above.
+
+    Returns:
+        (E, 2) indices of the edges' ends.
+    """
     start, end, far = faces.T.ravel(), faces[:, [1, 2, 0]].T.ravel(), faces[:, [2, 0, 1]].T.ravel()
     owner = np.tile(np.arange(len(faces)), 3)
     low, high = np.minimum(start, end), np.maximum(start, end)
+    # sorted, the two faces that share an edge follow each other
     order = np.lexsort((high, low))
     low, high, far, owner = low[order], high[order], far[order], owner[order]
     first = np.flatnonzero(np.r_[True, (np.diff(low) != 0) | (np.diff(high) != 0)])

@@ -20,8 +20,10 @@ from magiclens.milling.row_index import HAIR_MM, RowIndex
 class OffsetFaces(NamedTuple):
     """Triangles moved to where the tip is while the cutter touches them.
 
-    corners: (F, 3, 2) x and y of their corners, mm. z: (F,) height of the tip at the first corner, mm.
-    slope: (F, 2) of the triangle along x and along y.
+    Args:
+        corners: (F, 3, 2) x and y of their corners, mm.
+        z: (F,) height of the tip at the first corner, mm.
+        slope: (F, 2) of the triangle along x and along y.
     """
 
     corners: FloatArray
@@ -32,8 +34,10 @@ class OffsetFaces(NamedTuple):
 class TouchableEdges(NamedTuple):
     """Edges of the mesh that a cutter can touch.
 
-    low, high: (E, 3) their lower and their upper end, mm. reach: (E,) how far from the edge, seen from above, the tip
-    can be while they touch, mm.
+    Args:
+        low: (E, 3) their lower end, mm.
+        high: (E, 3) their upper end, mm.
+        reach: (E,) how far from the edge, seen from above, the tip can be while they touch, mm.
     """
 
     low: FloatArray
@@ -42,7 +46,14 @@ class TouchableEdges(NamedTuple):
 
 
 class TipRaster(NamedTuple):
-    """Points at which tips are asked for: x = x0 + dx * column, y = y_mm[row], mm."""
+    """Points at which tips are asked for: x = x0 + dx * column, y = y_mm[row].
+
+    Args:
+        x0: x of the first column, mm.
+        dx: distance of columns, mm.
+        columns: number of columns.
+        y_mm: (rows,) ascending.
+    """
 
     x0: float
     dx: float
@@ -53,7 +64,11 @@ class TipRaster(NamedTuple):
 class DepthMap(NamedTuple):
     """The lowest corner of all faces that may reach into each cell of a coarse map.
 
-    z: (nx, ny) mm. low, high: (2,) x and y of the corners of the map, mm. side: of a cell, mm.
+    Args:
+        z: (nx, ny) mm; inf where there is no face.
+        low: (2,) x and y of the map's lower left corner, mm.
+        high: (2,) x and y of its upper right corner, mm.
+        side: side of a cell, mm.
     """
 
     z: FloatArray
@@ -166,8 +181,9 @@ def _raise_to_face(z, corners, base, slope, raster, y):
         if min(ay, by) - HAIR_MM <= y <= max(ay, by) + HAIR_MM:
             t = min(max((y - ay) / (by - ay), 0.0), 1.0) if ay != by else 0.0
             left, right = min(left, ax + t * (bx - ax)), max(right, ax + t * (bx - ax))
-            if ay == by:
+            if ay == by:  # the whole edge lies on the row, so its other end counts too
                 left, right = min(left, bx), max(right, bx)
+    # 1 and 0: no column at all
     first = max(int(np.ceil((left - HAIR_MM - x0) / dx)), 0) if left <= right else 1
     last = min(int(np.floor((right + HAIR_MM - x0) / dx)), len(z) - 1) if left <= right else 0
     for i in range(first, last + 1):

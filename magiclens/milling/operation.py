@@ -22,19 +22,24 @@ from magiclens.milling.outline_kernels import touch
 from magiclens.milling.toolpath_kernels import covering, segments, thinned
 
 SAG_MM = 5e-5
-"""How far a cutter's true path may bulge above the straight line between two samples."""
+"""How far a cutter's true path may bulge above the straight line between two samples, mm."""
 _COARSEST_MM, _FINEST_MM = 0.02, 0.002
-"""Limits of the distance of samples along a line."""
+"""Largest and smallest distance of samples along a line, mm."""
 _LIFT_MM = 0.5
-"""Raster on which it is known how high a cutter must be to step to the next line."""
+"""Distance, mm, of the points at which it is computed how high a cutter must be to step to the next line."""
 
 
 @dataclass(frozen=True)
 class Operation:
     """One operation with its cutter, on the whole of a solid with a grid.
 
-    name: ``roughing`` or ``finishing``. thickness_mm: z of the plate's top, lens frame. slope: the steepest tangent
-    expected at the solid's border; lines go on beyond it as far as the cutter must to touch such a slope.
+    Attributes:
+        options: The options of the exporter.
+        name: ``roughing`` or ``finishing``.
+        solid: The lens, of which the highest surface counts.
+        thickness_mm: z of the plate's top, lens frame.
+        slope: The steepest tangent expected at the solid's border; lines go on beyond it as far as the cutter must to
+            touch such a slope.
     """
 
     options: MillingOptions
@@ -84,7 +89,7 @@ class Operation:
 
     @cached_property
     def stepping(self) -> Contacts:
-        """Where the cutter may go however it steps to a neighbouring line: that of a flat cutter wider by the way."""
+        """Where the cutter may step to a neighbouring line: where a flat cutter may be that is wider by that way."""
         radius = self.cutter.diameter / 2 + self.stepover_mm + _LIFT_MM
         return Contacts(self.solid, Outline(radius, 0.0, 0.0, radius, 0.0, radius), inner_rectangle(self.solid))
 
@@ -104,7 +109,9 @@ class Operation:
         low, high = self.whole.y0, self.whole.y1
         count = math.ceil((high - low) / self.stepover_mm) + 1
         step = self.options.step_mm
+        # the lines of the whole, so that tiles go on with each other's; on the machine's grid, two may become one
         y = np.unique(np.round(np.linspace(low, high, count) / step)) * step
+        # a step more: rounding must not leave out a line between two tiles
         return y[(y >= part.y0 - step) & (y <= part.y1 + step)]
 
     def nodes(self, part: Rectangle) -> FloatArray:
@@ -119,6 +126,7 @@ class Operation:
         samples = np.linspace(nodes[0], nodes[-1], (len(nodes) - 1) * every + 1)
         arc = self.cutter.outline().arc
         z = self.contacts.tips(samples, y_mm, self.floor_mm)
+        # cutters without an arc have no roundness to tell jumps from; ``contacts`` takes them to be wider instead
         tips: FloatArray = thinned(covering(z, spacing**2 / arc) if arc else z, every) - self.thickness_mm
         return tips
 

@@ -54,10 +54,11 @@ def touch(outline, slope, d):
             if d * d + v * v <= outline.knee * outline.knee:
                 return min(v, most)
     elif d < outline.flat:
+        # the rim of the flat end touches unless the line is steeper than the cone is there, along the line
         rim = math.sqrt(outline.flat * outline.flat - d * d)
         if slope <= outline.slope * rim / outline.flat:
             return rim
-    if slope >= outline.slope:
+    if slope >= outline.slope:  # also without a cone, whose slope is then 0
         return most
     return min(slope * d / math.sqrt(outline.slope * outline.slope - slope * slope), most)
 

@@ -22,9 +22,12 @@ _LEFT = re.compile(rf"stock left where the cutter reaches: at most {_NUMBER} um"
 class MillingSetup:
     """What must be known of a program besides its moves.
 
-    cutters: number and shape of each operation's cutter (``roughing``, ``finishing``), in the order of the operations.
-    zero_mm: x, y, z of the program's origin in the lens frame; z is the plate's top. left_mm: the most that finishing
-    lines leave standing where the cutter's shape lets it reach, inf if nothing is finished.
+    Attributes:
+        cutters: Number and shape of each operation's cutter (``roughing``, ``finishing``), in the order of the
+            operations.
+        zero_mm: x, y, z of the program's origin in the lens frame; z is the plate's top.
+        left_mm: The most that finishing lines leave standing where the cutter's shape lets it reach, inf if nothing is
+            finished.
     """
 
     cutters: Mapping[str, tuple[int, Cutter]] = field(default_factory=dict)
@@ -33,6 +36,7 @@ class MillingSetup:
 
     def to_text(self) -> list[str]:
         """Lines of text, for people and for ``from_text``."""
+        # + 0.0 turns -0.0 into 0.0
         x, y, z = (f"{value + 0.0:.12g}" for value in self.zero_mm)
         uses = [f"{name}: cutter {number}, {cutter}" for name, (number, cutter) in self.cutters.items()]
         left = f"stock left where the cutter reaches: at most {self.left_mm * 1000:.6g} um"
@@ -66,7 +70,12 @@ class MillingSetup:
 
 @dataclass(frozen=True)
 class MillingProgram:
-    """What a machine runs without a hand on it. Moves are in the program's own frame, see ``MillingSetup.zero_mm``."""
+    """A program that a machine runs in one go.
+
+    Attributes:
+        moves: The moves, in the program's own frame, see ``MillingSetup.zero_mm``.
+        setup: What must be known besides them.
+    """
 
     moves: Moves
     setup: MillingSetup

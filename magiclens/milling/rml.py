@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 _UNIT_MM = 0.01
 """Unit of coordinates."""
 _COMMAND = re.compile(r"(PA|PU|Z|VS|!VZ|!PZ|!MC)((?:-?\d+(?:\.\d+)?)?(?:,-?\d+(?:\.\d+)?)*)$")
+"""A command: its name, and its arguments between commas."""
 _COUNT = {"PA": 0, "PU": 2, "Z": 3, "VS": 1, "!VZ": 1, "!PZ": 2, "!MC": 1}
 """Number of arguments of each command that ``parse_rml`` understands."""
 
@@ -48,8 +49,9 @@ class Rml(LineMilling):  # noqa: D101 - the docstring goes on with that of the b
         for (x, y, z), feed in zip(moves.points.tolist(), moves.feed.tolist(), strict=True):
             if feed and feed != speed:
                 speed = feed
-                yield f"VS{feed / 60:.4g};!VZ{feed / 60:.4g};"
+                yield f"VS{feed / 60:.4g};!VZ{feed / 60:.4g};"  # mm per second; feeds are per minute
             across = f"{_units(x)},{_units(y)}"
+            # rapid moves are at the safe height, to which PU raises the cutter
             yield f"Z{across},{_units(z)};" if feed else f"PU{across};"
 
 

@@ -20,8 +20,10 @@ def add_roughing(op: Operation, path: Toolpath, part: Rectangle) -> None:
     """Add to a toolpath what removes all that is above the surface with its allowance, in a part."""
     nodes, lines, down = op.nodes(part), op.lines(part), op.options.rough_stepdown_mm
     low = op.tips(nodes, lines) + op.options.allowance
+    # -low: z = 0 is the plate's top. 1e-9: a depth of a whole number of levels must not get one more by rounding
     for level in range(math.ceil(-float(low.min()) / down - 1e-9)):
         before, after = np.maximum(low, -level * down), np.maximum(low, -(level + 1) * down)
+        # less than half a machine's step is rounding, not material
         _level(op, path, nodes, lines, after, before - after > op.options.step_mm / 2)
         path.lift()
 
@@ -43,6 +45,7 @@ def _level(
     for row in np.flatnonzero(waiting.any(axis=1)).tolist():
         for first, last in _stretches(waiting[row], _BRIDGE_MM / spacing):
             at = int(np.abs(nodes - path.here[0]).argmin())
+            # from the end that is nearer to the cutter
             start, end = (first, last) if abs(at - first) <= abs(at - last) else (last, first)
             way = [start, end]
             if row - last_row <= 1 and abs(at - start) * spacing <= _BRIDGE_MM and not path.up:

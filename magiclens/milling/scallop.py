@@ -31,6 +31,7 @@ def scallop_mm(outline: Outline, stepover_mm: float, slope: float = 0.0) -> floa
         return float(rise_at(outline, abs(v))) - slope * v if abs(v) <= outline.radius else math.inf
 
     deepest = float(touch(outline, slope, 0.0)) if slope else 0.0
+    # the ridge is between the lowest points of two lines; what the nearer one leaves grows with v, the other's falls
     low, high = deepest, deepest + stepover_mm
     for _ in range(60):  # bisection, to the last bit
         middle = (low + high) / 2

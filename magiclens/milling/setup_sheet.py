@@ -52,6 +52,7 @@ def setup_sheet(options: MillingOptions, job: Job, names: list[str]) -> str:
 
 def read_setup(sheet: str, name: str) -> MillingSetup:
     """The setup of the program in file ``name``, as a setup sheet says. Raises InputError if it says nothing of it."""
+    # paragraphs are separated by empty lines, and that of a program begins with the name of its file
     _, _, after = sheet.partition(f"\n\n{name}:\n")
     return MillingSetup.from_text(after.partition("\n\n")[0].splitlines())
 

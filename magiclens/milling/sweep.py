@@ -15,7 +15,7 @@ from magiclens.milling.row_index import RowIndex, index_rows
 from magiclens.milling.sweep_kernels import BAND, cut_grid, reaches
 
 _NEAR = 0.05
-"""Reach of the first of two rounds, in radii of the cutter."""
+"""Reach of the first of two passes over all moves, in radii of the cutter; after it, few moves meet anything."""
 
 
 def swept(outline: Outline, moves: FloatArray, x_mm: FloatArray, y_mm: FloatArray, z_mm: FloatArray) -> FloatArray:
@@ -51,6 +51,7 @@ def _nearer(
 
     The highest point within the cutter's radius of a move, by cells of a coarse map, bounds what it can still cut.
     """
+    # starts: first row and column of each cell; reduceat takes the maximum from one start to the next
     cell, middle = outline.radius / 4, (moves[:, 0] + moves[:, 1]) / 2
     starts = [np.searchsorted(a, a[0] + cell * np.arange(int((a[-1] - a[0]) / cell) + 1)) for a in (y, x)]
     # a last cell that begins at the last point may begin after it, by rounding

@@ -23,8 +23,16 @@ _BLOCK = 8
 class CutterMove(NamedTuple):
     """A straight move of the tip, from its lower end on.
 
-    x, y, z: the lower end, mm. ex, ey: unit direction seen from above. length: seen from above, mm. slope: tangent.
-    left, right: lowest and highest x, mm.
+    Args:
+        x: of the lower end, mm.
+        y: of the lower end, mm.
+        z: of the lower end, mm.
+        ex: x of the unit direction, seen from above.
+        ey: y of it.
+        length: seen from above, mm.
+        slope: rise per length, at least 0.
+        left: lowest x of the move, mm.
+        right: highest x of the move, mm.
     """
 
     x: float
@@ -40,7 +48,16 @@ class CutterMove(NamedTuple):
 
 @njit(cache=True)
 def reaches(outline, lowest, top):
-    """(M,) how far from moves whose lowest z is given the cutter meets anything below ``top``, mm; -1 if nothing."""
+    """How far from a move the cutter can meet anything at all.
+
+    Args:
+        outline: the cutter's ``Outline``.
+        lowest: (M,) lowest z of the tip in each move, mm.
+        top: z of the highest material, mm.
+
+    Returns:
+        (M,) distances seen from above, mm; -1 where the whole move is above all material.
+    """
     out = np.empty_like(lowest)
     for k in range(len(lowest)):
         out[k] = distance_at(outline, top - lowest[k]) if lowest[k] < top else -1.0
@@ -108,8 +125,15 @@ def _cut_along(move):
 def _cut_row(outline, cut, reach, beside, x_mm, y, z, highest):
     """Cut one row of the grid, block by block: skip blocks with cut.z + rise(distance) >= the block's highest point.
 
-    beside: distance of the row from the y range of the move, mm. z: (columns,), and highest: (blocks,) its highest
-    points; both are changed in place.
+    Args:
+        outline: the cutter's ``Outline``.
+        cut: the ``CutterMove``.
+        reach: how far from the move points are cut, mm.
+        beside: distance of the row from the y range of the move, mm, below ``reach``.
+        x_mm: (columns,) ascending.
+        y: of the row, mm.
+        z: (columns,) heights of the row, mm, changed in place.
+        highest: (blocks,) highest point of each block of the row, mm, changed in place.
     """
     half = math.sqrt(reach * reach - beside * beside)
     first, last = np.searchsorted(x_mm, cut.left - half), np.searchsorted(x_mm, cut.right + half, "right")
@@ -128,8 +152,8 @@ def _cut_row(outline, cut, reach, beside, x_mm, y, z, highest):
 def _height_above(outline, cut, x, y, reach, highest):
     """Height of the swept surface above (x, y), mm; inf where it is surely not below ``highest``.
 
-    Turned upside down, the cutter's surface rises over the point as a line rises under a cutter: the point is cut from
-    the position at which a segment of the same slope would be touched.
+    It is the least z(tip) + rise(distance) over all positions of the tip along the move. Counted backward from the
+    move's upper end, that position is where, by ``touch_segment``, a cutter would touch a rising segment.
     """
     px, py = x - cut.x, y - cut.y
     d = abs(px * cut.ey - py * cut.ex)

@@ -16,8 +16,11 @@ _RAPID_MM_PER_MIN = 3000.0
 class Moves:
     """Straight moves of the tip, one after the other.
 
-    points: (M, 3) float64, where each move ends, mm; +x right, +y up as the viewer sees the lens, z = 0 is the plate's
-    top. feed: (M,) float64, mm per minute, 0 for rapid moves. tool: (M,) int64, number of the cutter.
+    Attributes:
+        points: (M, 3) float64, where each move ends, mm; +x right, +y up as the viewer sees the lens, z = 0 is the
+            plate's top.
+        feed: (M,) float64, mm per minute, 0 for rapid moves.
+        tool: (M,) int64, number of the cutter.
     """
 
     points: FloatArray
@@ -46,11 +49,12 @@ class Moves:
         return float((self._lengths() / speed).sum())
 
     def shifted(self, way_mm: tuple[float, float, float]) -> Moves:
-        """The same moves elsewhere."""
+        """The same moves, shifted by (x, y, z), mm."""
         return Moves(self.points + np.array(way_mm), self.feed, self.tool)
 
     def without_pauses(self) -> Moves:
-        """The same moves without those that lead nowhere."""
+        """The same moves without those that end where they begin."""
+        # the first is always kept, if there is one
         kept = np.r_[True, (np.diff(self.points, axis=0) != 0).any(axis=1)][: len(self.points)]
         return Moves(self.points[kept], self.feed[kept], self.tool[kept])
 

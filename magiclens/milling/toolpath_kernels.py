@@ -58,7 +58,15 @@ def _thinned_part(part, z, every, out):
 
 
 def thinned(z: FloatArray, every: int) -> FloatArray:
-    """(rows, 1 + (columns - 1) / every): one in ``every`` samples, raised until lines between them cover the rest."""
+    """One in ``every`` samples, raised until straight lines between them are nowhere below the other samples.
+
+    Args:
+        z: (rows, columns) heights, mm; columns - 1 is a multiple of ``every``.
+        every: number of samples from one that is kept to the next.
+
+    Returns:
+        (rows, 1 + (columns - 1) / every) heights, mm.
+    """
     out = np.empty((len(z), (z.shape[1] - 1) // every + 1))
     in_threads(_thinned_part, len(z), z, every, out)
     return out
@@ -84,6 +92,7 @@ def segments(z, dx, tolerance, step):
     corner[0], count[0], n = 0, _up(z[0], step), 1
     while corner[n - 1] < len(z) - 1:
         start, base = corner[n - 1], count[n - 1] * step
+        # the next sample can always be a corner: its height is rounded up to the grid, whatever the tolerance
         corner[n], count[n] = start + 1, _up(z[start + 1], step)
         low, high = -math.inf, math.inf
         for k in range(start + 1, len(z)):
@@ -92,7 +101,7 @@ def segments(z, dx, tolerance, step):
             if low > high:
                 break
             up = _up(base + low * way, step)
-            if up * step <= base + high * way + 1e-12:
+            if up * step <= base + high * way + 1e-12:  # 1e-12: rounding must not refuse a height exactly at the bound
                 corner[n], count[n] = k, up
         n += 1
     return corner[:n].copy(), count[:n].copy()

@@ -33,5 +33,5 @@ def blaming(owner: str) -> Iterator[None]:
         raise
     except StageError as error:
         raise Blamed(f"{owner}: {error}") from error
-    except BaseException as error:
+    except BaseException as error:  # a plugin may call sys.exit(), which must not end a sweep
         raise Blamed(f"{owner} failed: {type(error).__name__}: {error}") from error

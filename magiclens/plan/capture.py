@@ -95,7 +95,13 @@ class _Router(io.TextIOBase):
 
 @dataclass
 class _Diversion:
-    """Standard output as it was, a copy of its descriptor, and the file that descriptor 1 writes to instead."""
+    """How standard output is diverted.
+
+    Attributes:
+        stdout: ``sys.stdout`` as it was.
+        descriptor: A copy of file descriptor 1 as it was.
+        file: The file that descriptor 1 writes to instead.
+    """
 
     stdout: Any
     descriptor: int
@@ -103,6 +109,7 @@ class _Diversion:
 
 
 _lock = Lock()
+"""Held while blocks are entered and left, since several threads share the one standard output."""
 _inside: list[_Diversion] = []
 """One item for each block that is open, all of them the same diversion: there is one standard output to divert."""
 
@@ -111,6 +118,7 @@ _inside: list[_Diversion] = []
 def _diverted(outer: CapturedOutput | None, inner: CapturedOutput) -> Iterator[None]:
     """Divert standard output when the first block is entered, and restore it when the last one is left."""
     with _lock:
+        # what was printed until here belongs to the outer block
         if _inside and outer:
             _pass_on(outer)
         _inside.append(_inside[0] if _inside else _divert())
@@ -143,6 +151,7 @@ def _pass_on(captured: CapturedOutput) -> None:
     """Add to an owner's output what descriptor 1 has received since the last call."""
     _flush()
     file = _inside[0].file
+    # descriptor 1 is a copy of the file's and shares its position: what is printed next begins at 0 again
     file.seek(0)
     text = file.read().decode(errors="replace")
     file.seek(0)

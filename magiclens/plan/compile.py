@@ -45,7 +45,11 @@ class Step(Generic[_StageT]):
         return f"{self.name} ({self.plugin})"
 
     def choice(self, inputs: Inputs | None = None) -> dict[str, Any]:
-        """The stage as a spec writes it, with every option. ``inputs`` collects its files, as in ``Plan.resolved``."""
+        """The stage as a spec writes it, with every option.
+
+        Args:
+            inputs: Collects the files that its options name, as in ``Plan.resolved``.
+        """
         with blaming(str(self)):
             return {"type": self.stage.type, **self.stage.model_dump(mode="json", context={"inputs": inputs})}
 
@@ -119,7 +123,7 @@ class Plan:
         return tuple(planned for planned in chosen if self._applies(planned))
 
     def _analysis(self, name: str) -> PlannedAnalysis:
-        found = self.registry.find(ANALYSIS, name)
+        found = self.registry.find(ANALYSIS, name)  # which raises an error if several plugins claim the name
         assert found is not None
         return PlannedAnalysis(*found)
 
@@ -148,6 +152,7 @@ class Plan:
         medium = self.spec.medium
         if medium is None:
             return scene
+        # once per name, so that views which share a source still share its array
         sources = {view.source_name: medium.shown(view.source) for view in scene.views}
         views = (replace(v, source=sources[v.source_name], target=medium.shown(v.target)) for v in scene.views)
         return replace(scene, views=tuple(views))
@@ -237,6 +242,7 @@ class _Compiler:
     def _steps(self, suited: Mapping[str, Choice]) -> dict[str, list[Step[Any] | None]]:
         """The stages at each key of the pipeline; None in place of those that have mistakes."""
         pipeline = self._checker.validate(PipelineSpec, self._document.data.get("pipeline", {}), ("pipeline",))
+        # the mistakes are noted, and ``settle`` raises the first of them before a plan is made
         if pipeline is None:
             return defaultdict(lambda: [None])
         choices = {kind: pipeline.choice(kind, suited) for kind in (*DEFAULT_STAGES, Encoder.kind)}
@@ -301,6 +307,7 @@ class _Compiler:
         with blaming(f"scenario {scenario.type} ({plugin})"):
             try:
                 return scenario.fitted_lens(spec.lens.build(), spec.viewer)
+            # caught inside ``blaming``: it is a mistake of the spec, not of the plugin
             except ValueError as error:
                 self._checker.add(("scenario",), str(error))
                 return None

@@ -23,6 +23,7 @@ def stage_flaw(cls: Any) -> str | None:
         return f"{cls.__name__}.version is not text"
     if cls.kind == "exporter" and not str(getattr(cls, "suffix", "")).startswith("."):
         return f"{cls.__name__}.suffix is not a file ending such as '.stl'"
+    # a class need not inherit from the base of its kind, so its methods are looked for by name
     methods = _abstract_methods(KINDS[cls.kind])
     return _lacks(cls, *methods) or next(filter(None, (_arguments_flaw(cls, name) for name in methods)), None)
 

@@ -25,7 +25,7 @@ def describe_plugins(registry: Registry) -> str:
 
 
 def plugins_data(registry: Registry) -> dict[str, Any]:
-    """The same for programs: what is contributed, by which plugin, and what is wrong."""
+    """What is installed as JSON data, for programs: what is contributed, by which plugin, and what is wrong."""
     return {
         "contributions": [_contribution_data(key, contribution) for key, contribution in _ranked(registry)],
         "failures": [_failure_data(failure) for failure in registry.failures],
@@ -44,7 +44,7 @@ def _failure_data(failure: Failure) -> dict[str, Any]:
 
 
 def _ranked(registry: Registry) -> list[tuple[tuple[str, ...], Contribution]]:
-    """Contributions with their keys, in the order of the pipeline, then of names."""
+    """Contributions with their keys: stages in the order of the pipeline, then other tables; in each, by name."""
     kinds, tables = list(KINDS), (STAGE, SCENARIO, NAMED_ART, EXECUTOR, ANALYSIS)
 
     def rank(key: tuple[str, ...]) -> tuple[int, int, str]:

@@ -67,7 +67,12 @@ class Plugin:
 
 @dataclass(frozen=True)
 class Failure:
-    """A plugin, or one of its contributions, that cannot be used, and why: the last lines of a traceback."""
+    """A plugin, or one of its contributions, that cannot be used.
+
+    Attributes:
+        plugin: The plugin.
+        reason: Why: a sentence, or the last lines of a traceback.
+    """
 
     plugin: Plugin
     reason: str
@@ -136,7 +141,12 @@ class Registry:
         return registry
 
     def register(self, implementation: object, plugin: Plugin) -> None:
-        """Add one plugin: a module or an object with hook implementations. What is wrong with it is recorded."""
+        """Add one plugin. What is wrong with it is recorded, and raises nothing.
+
+        Args:
+            implementation: A module or an object with hook implementations.
+            plugin: Its name, package and version.
+        """
         flaw = hookspecs.contract_flaw(implementation)
         if flaw:
             self._fail(plugin, flaw)
@@ -250,7 +260,15 @@ class Registry:
         return False
 
     def _collect(self, source: object, plugin: Plugin, hook: str, add: Callable[[Any, Plugin], None]) -> None:
-        """Call one plugin's implementation of a contributing hook."""
+        """Call one plugin's implementation of a contributing hook.
+
+        Args:
+            source: The plugin's module or object.
+            plugin: The plugin.
+            hook: The hook's name.
+            add: Takes what the hook returns.
+        """
+        # not through pluggy's own call, which would call the hooks of all plugins
         for implementation in getattr(self._manager.hook, hook).get_hookimpls():
             if implementation.plugin is source:
                 with self._recording(plugin, f"{hook}: "):
@@ -298,6 +316,7 @@ class Registry:
                 yield one
 
     def _add(self, key: tuple[str, ...], value: Any, plugin: Plugin) -> None:
+        # of several values under one name none wins: that would depend on what else is installed
         first = self._contributions.get(key)
         rivals = (*first.rivals, plugin) if first else ()
         self._contributions[key] = replace(first, rivals=rivals) if first else Contribution(value, plugin)
@@ -331,4 +350,5 @@ def _known(name: str, plugins: list[Plugin]) -> str:
 
 def _last_lines() -> str:
     """The innermost frame and the message of the exception being handled."""
+    # the first line is only the heading 'Traceback (most recent call last)'
     return "".join(traceback.format_exc(limit=-1).splitlines(keepends=True)[1:]).strip()

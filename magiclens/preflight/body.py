@@ -27,6 +27,7 @@ def check_body(file: MeshFile, lens: Lens, eye_mm: FloatArray | None) -> list[Fi
         eye_mm: (3,) eye along whose rays the top was cut, lens frame; None for vertical cells.
     """
     solid = file.solid(eye_mm)
+    # each check relies on what those before have found: only a closed mesh has a volume
     topology = check_topology(solid)
     found = topology if topology.flaws else topology + check_areas(solid)
     if not found.flaws:
@@ -37,7 +38,8 @@ def check_body(file: MeshFile, lens: Lens, eye_mm: FloatArray | None) -> list[Fi
 def body_checked_by_finisher(metrics: Mapping[str, Any], name: str) -> list[Finding] | None:
     """The same findings, for a file of this name that holds the very solid which the finisher has checked.
 
-    They are made from the metrics of the run; None if its finisher has not checked everything.
+    They are made from the metrics of the run; None if its finisher has not checked everything. The built-in
+    finisher raises an error where it finds a flaw, so there is none.
     """
     if not {"watertight", "bodies", "outward_normals", "self_intersections"} <= set(metrics):
         return None
@@ -50,6 +52,7 @@ def check_size(file: MeshFile, lens: Lens) -> Finding:
     low, high = file.extent_mm
     wide = float(max(high[0] - low[0], high[1] - low[1]))
     extent = "{:.4g} x {:.4g} x {:.4g} mm".format(*(high - low))
+    # the sides lean out to a flat bottom that may be much wider than the lens
     if not 0.9 * lens.size_mm <= wide <= 5 * lens.size_mm:
         return Finding("size", "red", f"{file.name} is {extent}, but the lens is {lens.size_mm:g} mm wide: wrong unit?")
     return Finding("size", "green", f"{file.name} is {extent}")

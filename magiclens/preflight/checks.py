@@ -62,6 +62,7 @@ def run_preflight(folder: Path, manifest: Mapping[str, Any], plan: Plan, solid: 
     body.append(check_size(file, lens))
     if len(paths) > 1 and solid is None:
         body.append(check_same_body(file, paths[1:]))
+    # the other checks take coordinates for millimetres and need a top
     if any(finding.check == "size" and finding.status == "red" for finding in body) or not len(file.on_top):
         return Preflight(str(manifest["name"]), made_by, body, None)
     top = top_triangles(file, lens, eye)

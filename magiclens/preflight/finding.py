@@ -13,6 +13,7 @@ from magiclens.contract.artifacts import BoolArray, FloatArray, IntArray, Lens
 Status = Literal["green", "amber", "red"]
 """Grade of a finding: the lens is fit to be made; it should be examined first; it should not be made."""
 _ORDER: tuple[Status, ...] = ("green", "amber", "red")
+"""Statuses from the best to the worst."""
 
 FacetIndices = tuple[tuple[int, int], ...]
 """(row, column) of facets; row 0 is at +y, column 0 at -x."""
@@ -20,7 +21,14 @@ FacetIndices = tuple[tuple[int, int], ...]
 
 @dataclass(frozen=True)
 class Finding:
-    """The result of one check: a line of the preflight page. ``facets`` are those at fault, the worst first."""
+    """The result of one check: a line of the preflight page.
+
+    Attributes:
+        check: The name of the check.
+        status: The grade.
+        text: What was found, in a sentence.
+        facets: Facets at fault, the worst first.
+    """
 
     check: str
     status: Status
@@ -32,8 +40,11 @@ class Finding:
 class Preflight:
     """All findings about a run folder.
 
-    name: of the run. made_by: title of the machine, empty if none is named. slopes_deg: (N, N) mean slope of each
-    facet, for the map; None without a mesh.
+    Attributes:
+        name: The name of the run.
+        made_by: Title of the machine, empty if none is named.
+        findings: One finding or more per check, in the order of the page.
+        slopes_deg: (N, N) mean slope of each facet, for the map; None if there is no mesh of the right size.
     """
 
     name: str
@@ -67,6 +78,7 @@ def facets_where(bad: BoolArray, facet: IntArray, badness: Sequence[float] | np.
         lens: Says how many facets there are.
     """
     found = np.full(lens.facets**2, -np.inf)
+    # not found[facet[bad]] = ...: of several triangles of a facet that would keep the last one
     np.maximum.at(found, facet[bad], np.asarray(badness, float)[bad])
     order = np.argsort(-found, kind="stable")[: int(np.isfinite(found).sum())]
     return tuple((int(k) // lens.facets, int(k) % lens.facets) for k in order)

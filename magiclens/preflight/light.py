@@ -23,7 +23,14 @@ _LARGE_SHARE = 0.05
 
 
 def check_slopes(top: TopTriangles, lens: Lens, limit_deg: float, limit_name: str) -> Finding:
-    """Compare the steepest facet with a limit of the machine or the spec, called ``limit_name`` in the text."""
+    """Compare the steepest facet with a limit.
+
+    Args:
+        top: The triangles of the top.
+        lens: The lens.
+        limit_deg: The limit of the machine or of the spec.
+        limit_name: What allows it, as the text calls it.
+    """
     inside = ~top.wall
     steepest = float(top.slope_deg[inside].max())
     bad = inside & (top.slope_deg > limit_deg + 0.5)

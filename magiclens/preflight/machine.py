@@ -46,7 +46,7 @@ def check_thickness(file: MeshFile, top: TopTriangles, lens: Lens, machine: Mach
 
 
 def check_bed(file: MeshFile, machine: Machine | None) -> Finding:
-    """Compare the body with the machine's bed; it may be turned by a quarter."""
+    """Compare the body with the machine's bed, on which it may be turned by a quarter; mills can make it in tiles."""
     sides = np.diff(file.extent_mm, axis=0)[0]
     extent = f"{sides[0]:.4g} x {sides[1]:.4g} x {sides[2]:.4g} mm"
     if machine is None:
@@ -76,6 +76,7 @@ def check_material(file: MeshFile, machine: Machine | None, material: Material |
 def check_detail(lens: Lens, machine: Machine) -> Finding:
     """Compare facets and micro-facets with the machine's finest detail."""
     micro = lens.pitch_mm / lens.microfacets
+    # a mill has no pixels: its micro-facets are too fine exactly if its facets are
     finest = max(machine.pixels_mm) if isinstance(machine, Printer) else machine.feature / lens.microfacets
     small = lens.pitch_mm < machine.feature * (1 - 1e-9)
     what = f"facets of {lens.pitch_mm:.3g} mm, {machine.feature:g} mm keep their shape"
@@ -115,7 +116,7 @@ def check_tool_reach(file: MeshFile, top: TopTriangles, lens: Lens, mill: Mill) 
 
 
 def check_bottom(file: MeshFile) -> Finding:
-    """The bottom must be at z = 0, where the source is."""
+    """Check that the bottom is at z = 0, where the lens frame has it."""
     low = float(file.extent_mm[0, 2])
     at_zero = abs(low) <= BOTTOM_MM
     text = "the bottom lies at z = 0" if at_zero else f"the lowest point is at z = {low:.4g} mm instead of 0"

@@ -17,6 +17,7 @@ _SUFFIXES = ("stl", "ply", "glb", "3mf", "obj")
 BOTTOM_MM = 1e-4
 """Height up to which vertices belong to the flat bottom, mm; floats in files are not exactly 0."""
 _STL = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+"""A triangle of a binary STL file, 50 bytes; 80 bytes of text and the number of triangles come before them."""
 _HASH_FACTORS = (0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9)
 """Odd numbers by which x, y and z are multiplied to hash a point."""
 
@@ -25,7 +26,10 @@ _HASH_FACTORS = (0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9)
 class MeshFile:
     """The triangles of a mesh file.
 
-    triangles: (F, 3, 3) float32 corners, mm, lens frame, counter-clockwise as seen from outside if the file is right.
+    Attributes:
+        path: The file.
+        triangles: (F, 3, 3) float32 corners, mm, lens frame, counter-clockwise as seen from outside if the file is
+            right.
     """
 
     path: Path
@@ -38,7 +42,7 @@ class MeshFile:
 
     @cached_property
     def extent_mm(self) -> FloatArray:
-        """(2, 3): lowest and highest x, y and z."""
+        """(2, 3) lowest and highest x, y and z, mm."""
         axes = [self.triangles[..., k] for k in range(3)]
         return np.array([[axis.min() for axis in axes], [axis.max() for axis in axes]], np.float64)
 
@@ -46,6 +50,7 @@ class MeshFile:
     def volume_mm3(self) -> float:
         """The volume by the divergence theorem; positive if faces point outward."""
         a, b, c = np.moveaxis(self.triangles, 1, 0)
+        # the float32 of the file is exact enough for products, but not for their sum
         return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum(dtype=np.float64) / 6)
 
     @cached_property
@@ -79,7 +84,7 @@ class MeshFile:
         low = vertices[:, 2] <= BOTTOM_MM
         order = np.argsort(low, kind="stable")
         rank = np.empty(len(order), np.int64)
-        rank[order] = np.arange(len(order))
+        rank[order] = np.arange(len(order))  # the inverse of ``order``: where each vertex goes
         faces = rank[index].reshape(-1, 3).astype(np.int32)
         return Solid(vertices[order], faces, (int((~low).sum()), 1), eye_mm)
 
@@ -115,7 +120,7 @@ def _three_mf(path: Path) -> FloatArray:
                 vertices.append(tuple(float(element.attrib[axis]) for axis in "xyz"))
             elif tag == "triangle":
                 faces.append(tuple(int(element.attrib[corner]) for corner in ("v1", "v2", "v3")))
-            element.clear()
+            element.clear()  # else the whole document would stay in memory
     triangles: FloatArray = np.array(vertices, np.float32)[np.array(faces)]
     return triangles
 

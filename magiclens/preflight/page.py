@@ -24,6 +24,7 @@ _VERDICTS = {
     "amber": "Can be made; look at what is amber first.",
     "red": "Not fit to be made as it is.",
 }
+"""The sentence of each status about the whole lens."""
 
 
 def write_preflight(found: Preflight, folder: Path) -> None:
@@ -39,7 +40,7 @@ def preflight_text(found: Preflight) -> str:
 
 
 def lens_map(found: Preflight) -> Pixels | None:
-    """Draw the lens from above: steep facets are dark, facets at fault are framed, the worst of each check is crossed.
+    """Draw the lens from above: steep facets are dark, facets at fault are framed, each check's worst has a cross.
 
     Returns:
         A picture (S, S, 3), row 0 at +y; None if the slopes are not known.

@@ -27,6 +27,7 @@ _COARSE_PX_PER_MM = 5.0
 CHECKED_VIEWS = 8
 """Number of views that are checked; an animation has many more."""
 _TURNS = ("as it is", "turned by 90 deg", "turned by 180 deg", "turned by 270 deg")
+"""How targets are turned for comparison, in words, by the number of quarter turns."""
 
 
 def check_orientation(
@@ -48,6 +49,7 @@ def check_orientation(
         run_psnr_db: Mean PSNR of the run's pictures; None if it has taken none.
     """
     views, traced = views[:CHECKED_VIEWS], traced[:CHECKED_VIEWS]
+    # 3 x 3 micro-facets to a pixel, or more: every triangle is one ray, and no pixel should stay empty
     side = int(np.clip(lens.facets * lens.microfacets // 3, 12, 96))
     pictures = [picture_of_triangles(seen, lens, view, side) for seen, view in zip(traced, views, strict=True)]
     targets = [resize(view.target, (side, side)) for view in views]
@@ -55,6 +57,7 @@ def check_orientation(
     for k, name in enumerate(_TURNS):
         mirrored = [np.rot90(t[:, ::-1], k) for t in targets]
         psnr_db[f"mirrored and {name}" if k else "mirrored"] = _mean_psnr_db(pictures, mirrored)
+    # a mirrored file is traced anew: its picture is not the mirror image of the right one, since the source stays
     flipped_file = file.mirrored()
     flipped_traced = trace_triangles_for_views(flipped_file.triangles[file.on_top], lens, views)
     flipped_pictures = [picture_of_triangles(t, lens, v, side) for t, v in zip(flipped_traced, views, strict=True)]
@@ -62,6 +65,7 @@ def check_orientation(
     right = psnr_db.pop(_TURNS[0])
     best = max(psnr_db, key=lambda name: psnr_db[name])
     text = f"rendered from {file.name}, the picture is {right:.1f} dB from its target"
+    # only a picture about as good as the run's proves that the file is turned or mirrored
     good = -np.inf if run_psnr_db is None else run_psnr_db - _EXPECTED_LOSS_DB
     if flipped > max(right + _CLEARLY_BETTER_DB, good):
         return Finding("mirror image", "red", f"{text}, but {flipped:.1f} dB if the file is mirrored: it is inside out")
@@ -92,6 +96,7 @@ def picture_of_triangles(traced: TracedTriangles, lens: Lens, view: View, side: 
         (side, side, C) float32, linear light.
     """
     source, scale = view.source, view.source.shape[1] / lens.source_size_mm
+    # rows go down and y goes up, hence the minus of y and v
     rows, columns = (_pixels(x * scale, n) for x, n in ((-traced.y, len(source)), (traced.x, source.shape[1])))
     inside = (traced.through > 0) & (np.maximum(abs(traced.x), abs(traced.y)) <= lens.source_size_mm / 2)
     light = source[rows, columns] * (traced.area * traced.through * inside)[:, None]
@@ -99,6 +104,7 @@ def picture_of_triangles(traced: TracedTriangles, lens: Lens, view: View, side: 
     within = np.maximum(abs(traced.u), abs(traced.v)) <= lens.size_mm / 2
     pixel, area = (down * side + right)[within], traced.area[within]
     total = [np.bincount(pixel, light[within, c], side * side) for c in range(source.shape[-1])]
+    # a pixel in which no triangle is seen is black
     filled = np.maximum(np.bincount(pixel, area, side * side), 1e-9)
     return np.asarray((np.stack(total, axis=-1) / filled[:, None]).reshape(side, side, -1), np.float32)
 

@@ -21,10 +21,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class TopTriangles:
-    """The triangles of the top, lens frame, mm.
+    """The triangles of the top, lens frame.
 
-    triangles: (F, 3, 3) corners. facet: (F,) row * N + column. wall: (F,) whether a triangle belongs to no facet, but
-    to a wall or the rim. slope_deg: (F,) angle between +z and the outward normal.
+    Attributes:
+        triangles: (F, 3, 3) corners, mm.
+        facet: (F,) the facet that each triangle lies in, row * N + column.
+        wall: (F,) whether a triangle belongs to no facet, but to a wall or the rim.
+        slope_deg: (F,) angle between +z and the outward normal.
     """
 
     triangles: FloatArray
@@ -90,6 +93,7 @@ def facets_of_triangles(triangles: FloatArray, lens: Lens, eye_mm: FloatArray | 
     """
     middle = triangles.mean(axis=1, dtype=np.float64)
     if eye_mm is not None:
+        # along the eye's ray to the reference plane, on which the borders of cells are straight
         away = (eye_mm[2] - lens.thickness_mm) / (eye_mm[2] - middle[:, 2])
         middle = eye_mm + (middle - eye_mm) * away[:, None]
     cells = np.stack([lens.size_mm / 2 - middle[:, 1], middle[:, 0] + lens.size_mm / 2]) / lens.pitch_mm

@@ -14,11 +14,16 @@ from magiclens.optics.refraction import refract, transmittance
 
 
 class TracedTriangles(NamedTuple):
-    """What one eye sees of triangles, by the ray through the middle of each; all (F,) float64, lens frame, mm.
+    """What one eye sees of triangles, by the ray through the middle of each; lens frame.
 
-    u, v: where the triangle's middle is seen on the reference plane. area: how much of the reference plane the
-    triangle fills, mm^2; 0 if it faces away from the eye. cosine: of the angle between normal and ray. x, y: where
-    the ray meets the source. through: share of the light that passes; 0 if the flat bottom reflects it totally.
+    Args:
+        u: (F,) x of the point of the reference plane at which the triangle's middle is seen, mm.
+        v: (F,) its y.
+        area: (F,) how much of the reference plane the triangle fills, mm^2; 0 if it faces away from the eye.
+        cosine: (F,) cosine of the angle between the outward normal and the way back to the eye.
+        x: (F,) x of the point at which the ray meets the source, mm.
+        y: (F,) its y.
+        through: (F,) share of the light that passes both surfaces; 0 if the flat bottom reflects it totally.
     """
 
     u: FloatArray
@@ -35,13 +40,14 @@ def _trace_part(part, triangles, eye, thickness, gap, ior, traced):
     """Part of the triangles, see ``trace_middles``; traced: zeros, to fill."""
     u, v, area, cosines, x, y, through = traced
     for f in range(part.first, part.end):
+        # float() makes them float64: small triangles are small differences of float32 numbers
         ax, ay, az = float(triangles[f, 0, 0]), float(triangles[f, 0, 1]), float(triangles[f, 0, 2])
         bx, by, bz = float(triangles[f, 1, 0]), float(triangles[f, 1, 1]), float(triangles[f, 1, 2])
         cx, cy, cz = float(triangles[f, 2, 0]), float(triangles[f, 2, 1]), float(triangles[f, 2, 2])
         px, py, pz = bx - ax, by - ay, bz - az
         qx, qy, qz = cx - ax, cy - ay, cz - az
         nx, ny, nz = py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx
-        double = sqrt(nx * nx + ny * ny + nz * nz)
+        double = sqrt(nx * nx + ny * ny + nz * nz)  # twice the area
         if double == 0.0:
             continue
         nx, ny, nz = nx / double, ny / double, nz / double
@@ -60,6 +66,7 @@ def _trace_part(part, triangles, eye, thickness, gap, ior, traced):
         tx, ty, tz = refract(dx, dy, dz, nx, ny, nz, ior)
         if tz >= 0.0:
             continue
+        # the flat bottom's normal is +z, so -tz is the cosine of the angle there
         weight = transmittance(cosine, ior) * transmittance(-tz, 1.0 / ior)
         if weight <= 0.0:
             continue

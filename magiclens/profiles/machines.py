@@ -21,7 +21,10 @@ _SPEED = r"^\d+(\.\d+)? ?mm/(min|s)$"
 class Machine(BaseModel, ABC):
     """What a machine can do. The fields are the keys that a spec may write beside ``fabrication.machine``.
 
-    Lengths are mm and angles degrees. ``process`` names the process in data files: printing or milling.
+    Lengths are mm and angles degrees.
+
+    Attributes:
+        process: The name of the process in data files: ``printing`` or ``milling``.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
@@ -115,13 +118,14 @@ class Mill(Machine):
         return 90.0 - (self.angle / 2 if self.cutter == "v" else self.draft)
 
     def step_mm(self, wall_mm: float) -> float:
-        """The highest step, mm, that a wall of this width can take up with the draft that the machine needs."""
+        """The highest step between facets, mm, at which a wall of this width still leans by the machine's draft."""
         # a draft of 0 would allow any step; a tenth of a degree keeps the number finite
         return wall_mm / math.tan(math.radians(max(self.draft, 0.1)))
 
     @property
     def polish_mm(self) -> float:
         """Sigma, mm, of the Gaussian that stands for polishing: it leaves less than 1 % of the ridges between lines."""
+        # a Gaussian leaves exp(-2 (pi sigma / period)^2) of a wave, here 0.7 %
         return self.stepover / 2
 
     @property

@@ -48,7 +48,9 @@ _SIDE = 2
 
 @contextmanager
 def compiling_ahead(spec: Path, overrides: Sequence[str], observer: Observer) -> Iterator[Observer]:
-    """While the block runs a spec, compile in a child process what later steps need, if anything is to be compiled.
+    """Compile in a child process what later steps need while the ``with`` block runs a spec.
+
+    Nothing is started unless some kernel has to be compiled.
 
     Args:
         spec: The spec file.
@@ -119,6 +121,7 @@ class _CompilationAhead(Observer):
         """Wait until the child has compiled a part, or has ended."""
         if self._child and self._child.stdout:
             while part not in self._done:
+                # an empty line is the end of the output: the child has ended, and the run compiles for itself
                 line = self._child.stdout.readline().strip()
                 self._done |= {line} if line else set(_LATE)
 
@@ -147,12 +150,19 @@ def _listener(compiling: Callable[[], None]) -> Any:
 def _start_child(specs: Sequence[Path], overrides: Sequence[str], parts: Sequence[str]) -> subprocess.Popen[str]:
     """A process that does ``compile_parts`` for specs; its standard output names the parts that are done."""
     command = [sys.executable, "-m", __name__, ",".join(parts), os.pathsep.join(map(str, specs)), *overrides]
+    # errors are of no interest: what the child has not compiled, the run compiles, and reports what is wrong
     nothing = subprocess.DEVNULL
     return subprocess.Popen(command, stdin=nothing, stdout=subprocess.PIPE, stderr=nothing, text=True)
 
 
 def compile_parts(parts: Sequence[str], spec: Path, overrides: Sequence[str] = ()) -> None:
-    """Compile the kernels of some parts of a run, and print the name of each part that is done."""
+    """Compile the kernels of some parts of a run, and print the name of each part that is done.
+
+    Args:
+        parts: Keys of ``_PARTS``.
+        spec: The spec file.
+        overrides: ``key.path=value`` texts that are laid over it.
+    """
     plan = load_plan(spec, overrides)
     scene = small_scene(plan)
     for part in parts:
@@ -216,6 +226,7 @@ def _analyse(plan: Plan, scene: Scene) -> None:
         unfinished=solid, solid=solid, renders={}, manifest={"metrics": {}},
     )  # fmt: skip
     for planned in plan.analyses:
+        # each for itself: one that fails on so small a lens must not keep the next from being compiled
         with suppress(Exception):
             findings = planned.analysis.compute(plan, result)
             planned.analysis.figures(result, findings)

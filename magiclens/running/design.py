@@ -19,13 +19,20 @@ Generators = dict[str, np.random.Generator]
 
 def generators(seed: int) -> Generators:
     """One generator per kind of stage, so that a stage that draws more numbers does not change what others draw."""
+    # by the place in KINDS: a new kind must come last, or the other kinds would draw other numbers
     children = np.random.SeedSequence(seed).spawn(len(KINDS))
     return {kind: np.random.default_rng(child) for kind, child in zip(KINDS, children, strict=True)}
 
 
 @dataclass(frozen=True)
 class Shape:
-    """The top of a lens, and the candidates and choices that it was built from."""
+    """The top of a lens, and the candidates and choices that it was built from.
+
+    Attributes:
+        candidates: What the matcher found, or corrected when it matched again.
+        assignment: What the annealer chose among them.
+        height_field: What the integrator made of that.
+    """
 
     candidates: Candidates
     assignment: Assignment
@@ -51,6 +58,7 @@ class Designer:
         from magiclens.geometry.solid import solid_from_heights
 
         plan, matcher = self._plan, self._plan.matcher.stage
+        # so no stage can depend on pictures by accident: a universal lens is the same whatever it will show
         scene = scene if matcher.uses_pictures else blank_scene(scene)
         match = partial(matcher.match, scene, self._rng["matcher"])
         candidates = self._steps.stage(plan.matcher, match, partial(check_candidates, plan.lens))
@@ -104,6 +112,7 @@ class Designer:
             )
             trial = self._build(scene, steps.stage(plan.matcher, rematch, partial(check_candidates, plan.lens)))
             trial_errors = steps.part("tracing", partial(facet_errors, scene, trial.height_field))
+            # a round that helps nothing is thrown away; further ones would start from the same lens and the same errors
             if trial_errors.mean() >= errors.mean():
                 break
             best, errors = trial, trial_errors
@@ -111,6 +120,6 @@ class Designer:
 
 
 def blank_scene(scene: Scene) -> Scene:
-    """The scene with white sources and black targets, so that light lost at a wall counts the same everywhere."""
+    """The scene with white sources and black targets of one pixel: light lost at a wall counts the same everywhere."""
     white, black = np.ones((1, 1, 1), np.float32), np.zeros((1, 1, 1), np.float32)
     return replace(scene, views=tuple(replace(view, source=white, target=black) for view in scene.views))

@@ -27,9 +27,12 @@ from magiclens.running.run_folder import verified
 
 @dataclass(frozen=True)
 class RunJob:
-    """One run to do: the spec file, overrides of its keys (``key=value``), and the run folder to write.
+    """One run to do. Paths are text, and those of the machine that does the job.
 
-    Both paths are those of the machine that does the job.
+    Attributes:
+        spec: The spec file.
+        overrides: ``key.path=value`` texts that are laid over it.
+        out: The run folder to write.
     """
 
     spec: str

@@ -51,7 +51,7 @@ def spec_text(plan: Plan, inputs: Inputs) -> str:
     from ruamel.yaml import YAML
 
     yaml, text = YAML(), io.StringIO()
-    yaml.width = 100
+    yaml.width = 100  # characters, from which on ruamel breaks lines
     yaml.dump(plan.resolved(inputs), text)
     return text.getvalue()
 
@@ -108,6 +108,7 @@ def refresh_manifest(folder: Path) -> None:
 
 def _write(folder: Path, manifest: Mapping[str, Any]) -> None:
     with atomic_file(folder / MANIFEST) as path:
+        # JSON has no NaN, which Python would write all the same; ``_number`` has replaced it
         path.write_text(json.dumps(manifest, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 

@@ -24,9 +24,18 @@ MACHINED = "machined"
 class MillingReport:
     """How the programs fit, in micrometres, and how well the lens as cut shows its targets.
 
-    programs: names of their files. minutes, length_mm: time, and way at feed speed, of all of them. gouge_um, left_um,
-    stated_um, unreached_share, unreached_um: see ``SurfaceFit``. faults: what would break cutters, in words. psnr_db:
-    by view, then by state: designed, as cut, polished.
+    Attributes:
+        folder: The run folder.
+        programs: Names of the programs' files.
+        minutes: Time that all of them take.
+        length_mm: Way of the cutter at feed speed, in all of them.
+        gouge_um: See ``SurfaceFit``, as the next four.
+        left_um: Stock left where the cutter reaches.
+        stated_um: The most stock that the programs say they leave there.
+        unreached_share: Share of the surface that the cutter does not reach.
+        unreached_um: The most stock that is left there.
+        faults: What would break cutters, in words.
+        psnr_db: By view, then by state: designed, as cut, polished.
     """
 
     folder: str
@@ -103,7 +112,14 @@ def simulate_milling(folder: str | Path, registry: Registry | None = None) -> Mi
 def read_programs(plan: Plan, folder: Path) -> dict[str, MillingProgram]:
     """The milling programs of a run by the names of their files, in the order in which they run.
 
-    Raises InputError if no exporter of the plan has written one.
+    Those of the first exporter that has written some: each exporter mills the whole lens.
+
+    Args:
+        plan: The plan of the run.
+        folder: The run folder.
+
+    Raises:
+        InputError: No exporter of the plan has written one.
     """
     for step in plan.exporters:
         exporter = step.stage
@@ -123,6 +139,7 @@ def _write_pictures(lens: OpenRun, programs: Sequence[MillingProgram]) -> dict[s
     from magiclens.rendering.tracer import Tracer
     from magiclens.simulation.machining import seen_as_machined
 
+    # the sources as they are printed, not as the spec gives them: an encoder may have painted them
     scene = lens.plan.on_medium(lens.printed_scene)
     cut, polished = seen_as_machined(scene, lens.solid, programs)
     with atomic_folder(lens.folder / MACHINED) as pictures:

@@ -12,8 +12,8 @@ if TYPE_CHECKING:
 class Observer:
     """Base of all observers. This one shows no progress; it only prints notices.
 
-    ``name`` is the piece of work, such as ``matcher exhaustive``; ``facets`` is the number of facets that it works on,
-    0 if that number does not matter.
+    In all methods, ``name`` is the piece of work, such as ``matcher exhaustive``, and ``facets`` the number of facets
+    that it works on, 0 if that number does not matter.
     """
 
     def started(self, name: str, facets: int) -> None:
@@ -47,7 +47,7 @@ class LineObserver(Observer):
     def finished(self, name: str, seconds: float) -> None:
         """Print name, seconds and rate."""
         line = f"{name:28}{seconds:8.2f} s  {_rate(self._facets, seconds)}"
-        print(line.rstrip(), file=self._stream, flush=True)
+        print(line.rstrip(), file=self._stream, flush=True)  # so that a log tells at once how far a run is
 
 
 class BarObserver(Observer):
@@ -78,6 +78,7 @@ class BarObserver(Observer):
     def progressed(self, name: str, fraction: float) -> None:
         """Move the bar."""
         if self._task is not None:
+            # pieces of work follow each other, so the last bar is that of this one
             elapsed = self._bars.tasks[-1].elapsed or 0.0
             self._bars.update(self._task, total=1.0, completed=fraction, rate=_rate(self._facets * fraction, elapsed))
 

@@ -33,7 +33,11 @@ _FRAMES_PER_BATCH = 4
 class OpenRun:
     """A finished run folder, with the plan and the scene it was made from.
 
-    The scene has the sources that the spec gave, not those that an encoder made of them (see ``printed_scene``).
+    Attributes:
+        files: The run folder, whose files are checked when they are read.
+        plan: The plan of its spec.
+        scene: The scene with the sources that the spec gives, not those that an encoder made of them (see
+            ``printed_scene``).
     """
 
     files: RunFolder
@@ -53,6 +57,7 @@ class OpenRun:
 
         def source(view: View) -> FloatArray:
             picture = resize(read_image(self.files.file(source_path(view))), view.source.shape[:2])
+            # a source of three channels that are equal is stored, and read back, as grey
             return np.ascontiguousarray(np.broadcast_to(picture, view.source.shape), np.float32)
 
         return replace(self.scene, views=tuple(replace(view, source=source(view)) for view in self.scene.views))
@@ -107,6 +112,7 @@ class OpenRun:
         step, view = self.plan.encoder, self.view(name)
         if step is None:
             raise InputError("this lens was designed for its source and has no encoder; use a universal lens")
+        # the seed of the spec, so that the same frames give the same sources whenever they are encoded
         transport, rng = self.transport(name), np.random.default_rng(self.plan.spec.seed)
         waiting = iter(frames)
         while batch := list(islice(waiting, _FRAMES_PER_BATCH)):
@@ -190,7 +196,14 @@ def _plan_of(files: RunFolder, registry: Registry | None) -> Plan:
 
 
 def _with_target(view: View, frame: FloatArray, channels: int, name: str) -> View:
-    """The view with the frame as its target, and with a source that no other view shares; both get these channels."""
+    """The view with another target, and with a source that no other view shares: each frame gets a source of its own.
+
+    Args:
+        view: The view of the lens.
+        frame: (h, w, C) linear light, padded to a square with white paper.
+        channels: Number of channels that source and target get.
+        name: Name of the source and of the target.
+    """
     from magiclens.images import padded_to_square
 
     source, target = (

@@ -37,12 +37,20 @@ from magiclens.running.writing import (
 )
 
 Renders = dict[str, list[FloatArray]]
+"""One picture (R, R, C) per view, linear light, by renderer type."""
 Analysed = list[tuple[PlannedAnalysis, Findings]]
+"""Analyses that have found something, each with its findings."""
 
 
 @dataclass(frozen=True, repr=False)
 class Run:
-    """A finished run: its folder, the manifest in it, and everything that was made on the way."""
+    """A finished run.
+
+    Attributes:
+        folder: Its run folder.
+        manifest: What ``manifest.json`` in it holds.
+        result: Everything that was made on the way.
+    """
 
     folder: Path
     manifest: dict[str, Any]
@@ -137,6 +145,7 @@ def run_plan(plan: Plan, out_dir: str | Path, observer: Observer | None = None) 
         with atomic_folder(place, observer.notice) as folder:
             result = _make(plan, folder, steps)
             whole = write_manifest(folder, result.manifest, steps.timings())
+        # only now, when the folder is in its place: observers may read it
         steps.tell("mlens_run_done", folder=out, manifest=whole)
     finally:
         observer.stopped()
@@ -165,6 +174,7 @@ def _make(plan: Plan, folder: Path, steps: Steps) -> RunResult:
 def _design(plan: Plan, given: Scene, steps: Steps) -> RunResult:
     """The lens and, if there is an encoder, its painted sources."""
     designer, painted = Designer(plan, steps), given
+    # while lens and sources change in turns the mesh need not be finished: only the last one is exported
     for _ in range(plan.spec.pipeline.codesign):
         _, solid = designer.design(plan.on_medium(painted))
         painted = designer.encode(given, designer.transports(given, solid))
@@ -188,7 +198,7 @@ def _design(plan: Plan, given: Scene, steps: Steps) -> RunResult:
 
 
 def _redesign(plan: Plan, given: Scene) -> tuple[Scene, Solid]:
-    """Another scene by the same plan, from its seed on, told to nobody; see ``RunResult.redesign``."""
+    """Design another scene by the same plan and seed, without hooks and progress; see ``RunResult.redesign``."""
     designer = Designer(plan, QuietSteps(plan, Observer()))
     _, solid = designer.design(plan.on_medium(given))
     return plan.on_medium(designer.encode(given, designer.transports(given, solid))), solid

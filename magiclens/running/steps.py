@@ -48,11 +48,17 @@ class Steps:
     def stage(self, step: Step[Any], work: Callable[[Progress], T], check: Callable[[T], None]) -> T:
         """A step that a stage does; its artifact is checked against the contract, and observing hooks are called.
 
+        Args:
+            step: The stage and its plugin.
+            work: Calls the stage; is given the function that it tells its progress.
+            check: Checks what the stage returns; raises BadArtifact.
+
         Raises:
             StageError: The stage failed or broke its contract; the message names it.
         """
         before = self._seconds[step.name]
         artifact = self.part(step.name, partial(self._guarded, step, work, check), self._facets)
+        # a stage may run several times, and its seconds add up; hooks are told those of this time
         seconds = self._seconds[step.name] - before
         self.tell("mlens_stage_done", stage=step.stage, artifact=artifact, seconds=seconds)
         return artifact
@@ -63,7 +69,7 @@ class Steps:
             self._observer.notice(complaint)
 
     def timings(self) -> dict[str, float]:
-        """Seconds by name, and in total."""
+        """Seconds by name, and in total; those of steps that were repeated are added up."""
         return {**self._seconds, "total": perf_counter() - self._began}
 
     def _guarded(self, step: Step[Any], work: Callable[[Progress], T], check: Callable[[T], None]) -> T:

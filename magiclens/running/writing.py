@@ -20,7 +20,7 @@ def copy_inputs(inputs: Inputs, folder: Path) -> None:
 
 
 def write_scene_pictures(scene: Scene, folder: Path) -> None:
-    """The sources, true to scale for printing, and the targets."""
+    """Write the sources, true to scale for printing, and the targets; equal ones are one file."""
     from magiclens.images.files import write_png
 
     write_sources(scene, folder)
@@ -30,7 +30,7 @@ def write_scene_pictures(scene: Scene, folder: Path) -> None:
 
 
 def write_sources(scene: Scene, folder: Path, name: str = "sources") -> None:
-    """Every source once, with its physical size, in the sub-folder ``name``."""
+    """Write every source once, with its physical size, into the sub-folder ``name``."""
     from magiclens.images.files import write_png
 
     (folder / name).mkdir()
@@ -39,7 +39,13 @@ def write_sources(scene: Scene, folder: Path, name: str = "sources") -> None:
 
 
 def save_transports(scene: Scene, transports: Sequence[Transport], folder: Path) -> None:
-    """Keep one matrix for all views that are alike, so that other pictures are encoded without tracing."""
+    """Write one matrix for all views that are alike, so that other pictures are encoded without tracing.
+
+    Args:
+        scene: The lens and its views.
+        transports: One matrix per view.
+        folder: The run folder.
+    """
     from magiclens.rendering.transports import traced_view
 
     for view, matrix in zip(scene.views, transports, strict=True):
@@ -48,7 +54,14 @@ def save_transports(scene: Scene, transports: Sequence[Transport], folder: Path)
 
 
 def write_renders(renderer: str, scene: Scene, pictures: Sequence[FloatArray], folder: Path) -> None:
-    """What a renderer saw, one picture (R, R, C) per view."""
+    """Write what a renderer saw.
+
+    Args:
+        renderer: The renderer's type.
+        scene: The lens and its views.
+        pictures: One picture (R, R, C), linear light, per view.
+        folder: The run folder.
+    """
     from magiclens.images.files import write_png
 
     for view, picture in zip(scene.views, pictures, strict=True):
@@ -58,7 +71,7 @@ def write_renders(renderer: str, scene: Scene, pictures: Sequence[FloatArray], f
 
 
 def write_figure_pictures(pictures: Mapping[str, FloatArray], folder: Path) -> None:
-    """Pictures that an analysis has found, as ``figures/<name>.png``."""
+    """Write pictures (R, R, C), linear light, that an analysis has found, as ``figures/<name>.png``."""
     from magiclens.images.files import write_png
 
     for name, picture in pictures.items():
@@ -67,7 +80,14 @@ def write_figure_pictures(pictures: Mapping[str, FloatArray], folder: Path) -> N
 
 
 def write_animations(scene: Scene, fps: float, seen: Sequence[FloatArray], folder: Path) -> None:
-    """The sources one after the other, and the picture that the eye sees of each, as GIF and MP4."""
+    """Write the sources one after the other, and the picture that the eye sees of each, as GIF and MP4.
+
+    Args:
+        scene: The lens; its views are the frames.
+        fps: Frames per second.
+        seen: One picture (R, R, C), linear light, per view.
+        folder: The run folder.
+    """
     from magiclens.images import resize
     from magiclens.images.movies import write_gif, write_mp4
 

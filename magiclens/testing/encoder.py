@@ -22,7 +22,7 @@ _SAMPLES = 3
 """Rays along a side of a pixel."""
 
 _SLACK_DB = 0.05
-"""Loss of the picture that is put down to rounding."""
+"""Loss of PSNR that is accepted, since encoders may round to the 8 bits of files."""
 
 
 class EncoderContract(StageContract):
@@ -50,7 +50,7 @@ class EncoderContract(StageContract):
         check_encoded(inputs[0], artifact)
 
     def test_the_lens_shows_its_targets_no_worse(self, outcome: StageCall) -> None:
-        """This is the mean PSNR of all views, each after one exposure."""
+        """The mean PSNR of all views, each after one exposure, does not fall."""
         before, after = (_shown_db(scene, outcome.inputs[1]) for scene in (outcome.inputs[0], outcome.artifact))
         assert after >= before - _SLACK_DB, f"the targets were shown at {before:.2f} dB, and now at {after:.2f} dB"
 

@@ -20,6 +20,7 @@ Mesh = tuple[FloatArray, IntArray]
 """Vertices (V, 3), mm, lens frame, and faces (F, 3)."""
 
 _MESH_SUFFIXES = (".stl", ".ply", ".obj", ".off", ".3mf", ".glb", ".gltf")
+"""Suffixes of mesh files that trimesh reads."""
 
 
 class ExporterContract(StageContract):
@@ -81,7 +82,7 @@ class ExporterContract(StageContract):
             return contract.read_mesh(_put(outcome.artifact, folder) / contract.file_name)
 
     def test_a_mesh_in_the_file_is_closed(self, mesh: Mesh | None) -> None:
-        """Its normals point outward."""
+        """It is closed, and its normals point outward; checked if the file holds a mesh."""
         if mesh:
             assert_closed(*mesh)
 

@@ -51,12 +51,13 @@ class FinisherContract(StageContract):
         assert change <= self.volume_tolerance, f"the volume went from {before:.6g} to {after:.6g} mm^3"
 
     def test_it_shows_the_same(self, scene: Scene, outcome: StageCall) -> None:
-        """This is checked if the solid still has the grid that the built-in tracer needs."""
+        """Pictures before and after agree; checked if the solid still has the grid that the built-in tracer needs."""
         from magiclens.rendering.tracer import Tracer
 
         if outcome.artifact.grid is None:
             return
         tracer = Tracer(resolution=96, samples=2)
         pairs = zip(tracer.render(scene, outcome.inputs[1]), tracer.render(scene, outcome.artifact), strict=True)
+        # exposure 1, not the one that fits best: a finisher must not darken the picture either
         agreement = min(score(after, before, 1.0).psnr_db for before, after in pairs)
         assert agreement >= self.least_agreement_db, f"pictures before and after differ: {agreement:.1f} dB"

@@ -17,7 +17,7 @@ from magiclens.testing.scenes import an_assignment, ramps
 from magiclens.testing.stage import SEED, StageCall, StageContract, assert_progress, digest
 
 _SLACK_MM, _SLACK_DEG = 1e-6, 2.0
-"""Excess over the limits of height and slope that is accepted."""
+"""Excess over the limits of height (mm) and of slope (degrees) that is accepted."""
 
 
 class IntegratorContract(StageContract):
@@ -116,7 +116,8 @@ def _steepest_deg(built: HeightField) -> float:
 def _seen_mm(scene: Scene, built: HeightField) -> FloatArray:
     """Points of the source that the eye of the first view sees through the middles of the facets.
 
-    The colours of the source tell positions. The first view of all scenes is not turned, so it is in the lens frame.
+    The colour of every point of the source tells where it is, see ``ramps``. The first view of all scenes is not
+    turned, so it is in the lens frame.
 
     Returns:
         (N, N, 2) float64, mm, lens frame.

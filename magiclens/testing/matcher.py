@@ -14,7 +14,7 @@ from magiclens.testing.scenes import flat_heights
 from magiclens.testing.stage import StageCall, StageContract, digest
 
 _SLACK_MM, _SLACK_DEG = 1e-3, 1.0
-"""Excess over the source's border and over the slope limit that is accepted."""
+"""Excess over the source's border (mm) and over the slope limit (degrees) that is accepted."""
 
 
 class MatcherContract(StageContract):
@@ -37,6 +37,7 @@ class MatcherContract(StageContract):
 
     def test_the_best_candidate_comes_first(self, outcome: StageCall) -> None:
         """Errors ascend in each facet's list."""
+        # inf - inf would be NaN, which fails every comparison
         errors = np.where(np.isfinite(outcome.artifact.errors), outcome.artifact.errors, np.finfo(np.float32).max)
         assert (np.diff(errors, axis=-1) >= 0).all(), "errors are not sorted: best first, inf last"
 

@@ -29,5 +29,6 @@ def volume_mm3(vertices: FloatArray, faces: IntArray) -> float:
         vertices: (V, 3), mm.
         faces: (F, 3), indices of vertices, counter-clockwise seen from outside.
     """
+    # each face and the origin make a tetrahedron of signed volume a . (b x c) / 6; what lies outside the mesh cancels
     a, b, c = (np.asarray(vertices, np.float64)[faces[:, k]] for k in range(3))
     return float(np.einsum("fi,fi->", a, np.cross(b, c)) / 6)

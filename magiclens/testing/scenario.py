@@ -12,6 +12,7 @@ from magiclens.scenarios.base import Scenario
 from magiclens.testing.stage import digest
 
 _LENS = Lens(size_mm=20.0, source_size_mm=20.0, facets=4, microfacets=4)
+"""The lens that scenarios are asked about: small, since sources have a least number of pixels per millimetre."""
 
 
 class ScenarioContract:
@@ -25,6 +26,7 @@ class ScenarioContract:
 
     def test_it_can_be_written_to_a_spec_and_read_again(self) -> None:
         """A run folder's ``spec.yaml`` has every key, and must give the same scenario again."""
+        # through JSON, which has the same values as YAML: anything else would not survive in a file
         written = json.loads(json.dumps(self.scenario.model_dump(mode="json", context={"inputs": None})))
         assert type(self.scenario).model_validate(written) == self.scenario, f"read again, {written} is another one"
 

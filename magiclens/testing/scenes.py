@@ -16,7 +16,9 @@ _LENS = Lens(
 """The lens of all scenes. Its sides lean out, so that no ray leaves through them."""
 
 _EYE_MM = (10.0, -6.0, 220.0)
+"""Not straight above the lens, and different in x and y, so that a stage that mixes up axes or signs fails."""
 _CANDIDATES = 6
+"""Number of candidates per facet."""
 
 
 def one_view() -> Scene:
@@ -45,7 +47,7 @@ def two_eyes() -> Scene:
 def ramps(scene: Scene) -> Scene:
     """The scene with sources whose colour is the position: red grows with +x, green with +y, from 0 to 1; blue is 1."""
     centres = (np.arange(360) + 0.5) / 360
-    red, green = np.meshgrid(centres, centres[::-1])
+    red, green = np.meshgrid(centres, centres[::-1])  # row 0 is at +y
     source = np.stack([red, green, np.ones_like(red)], axis=-1).astype(np.float32)
     black = np.zeros((1, 1, 3), np.float32)
     return replace(scene, views=tuple(replace(view, source=source, target=black) for view in scene.views))
@@ -56,6 +58,7 @@ def some_candidates(scene: Scene) -> Candidates:
     n = scene.lens.facets
     rng = np.random.default_rng(11)
     offsets = straight_down_mm(scene)[:, :, None] + rng.uniform(-1.5, 1.5, (n, n, _CANDIDATES, 2))
+    # (xx, xy, yy) with xy = 0: patches are magnified and mirrored, not sheared
     maps = np.zeros((n, n, _CANDIDATES, 3))
     maps[..., [0, 2]] = rng.uniform(0.3, 0.9, (n, n, _CANDIDATES, 2)) * rng.choice([-1, 1], (n, n, _CANDIDATES, 2))
     errors = np.sort(rng.uniform(0, 0.02, (n, n, _CANDIDATES)), axis=-1)
@@ -82,7 +85,7 @@ def flat_heights(scene: Scene) -> HeightField:
 
 
 def bumpy_solid(scene: Scene) -> Solid:
-    """A closed mesh whose facets are different smooth lenslets."""
+    """A closed mesh whose facets are different smooth lenslets, with heights within 0.5 mm."""
     n, m = scene.lens.facets, scene.lens.microfacets
     rng = np.random.default_rng(5)
     v, u = np.meshgrid(*[np.linspace(-1, 1, m + 1)] * 2, indexing="ij")

@@ -23,6 +23,7 @@ SEED = 20
 """Seed of the generators that stages are tested with."""
 
 _DAY_S = 86_400.0
+"""Seconds of a day."""
 
 
 @dataclass(frozen=True)
@@ -97,6 +98,7 @@ class StageContract:
 
     def test_its_options_can_be_written_to_a_spec_and_read_again(self) -> None:
         """A run folder's ``spec.yaml`` has every option, and must give the same stage again."""
+        # through JSON, which has the same values as YAML: anything else would not survive in a file
         written = json.loads(json.dumps(self.stage.model_dump(mode="json", context={"inputs": None})))
         assert type(self.stage).model_validate(written) == self.stage, f"read again, {written} is another stage"
 
@@ -162,7 +164,7 @@ def _feed(update: Callable[[bytes], None], thing: Any) -> None:
 
 
 def _set_clock_to_tomorrow(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Move the clock that programs take the date of a file from."""
+    """Move the clock of this process by a day; writers of files take dates from it."""
     now, now_ns, local, utc = time.time, time.time_ns, time.localtime, time.gmtime
     monkeypatch.setattr(time, "time", lambda: now() + _DAY_S)
     monkeypatch.setattr(time, "time_ns", lambda: now_ns() + round(_DAY_S * 1e9))
