@@ -38,21 +38,27 @@ def _material_names(schema: dict[str, Any]) -> None:
 class LensSpec(SpecModel):
     """The lens: its size, its facets, its material and its limits."""
 
-    size: Length = Field("100mm", validate_default=True, gt=0, description="side of the square lens")
+    size: Length = Field("100mm", validate_default=True, ge=1, le=2000, description="side of the square lens")
     # strict, here and below: pydantic would take the text '32' for 32, and true for 1
     facets: int = Field(32, strict=True, ge=1, le=1024, description="facets along one side")
     microfacets: int = Field(22, strict=True, ge=1, le=256, description="micro-facets along one side of a facet")
-    thickness: Length = Field("40mm", validate_default=True, gt=0, description="height of the reference plane")
-    gap: Length = Field("0mm", validate_default=True, ge=0, description="air between the source and the flat bottom")
+    thickness: Length = Field(
+        "40mm", validate_default=True, ge=0.1, le=1000, description="height of the reference plane"
+    )
+    gap: Length = Field(
+        "0mm", validate_default=True, ge=0, le=1000, description="air between the source and the flat bottom"
+    )
     material: str | None = Field(
         None,
         description="what the lens is made of; acrylic unless ior is given",
         json_schema_extra=_material_names,
     )
     ior: float | None = Field(None, gt=1, le=4, description="index of refraction, instead of a material")
-    wall: Length = Field("0.5um", validate_default=True, gt=0, description="width of the strip between two facets")
+    wall: Length = Field(
+        "0.5um", validate_default=True, ge=1e-5, le=10, description="width of the strip between two facets"
+    )
     relief: Length = Field(
-        "5mm", validate_default=True, gt=0, description="how far the top may leave the reference plane"
+        "5mm", validate_default=True, ge=0.001, le=500, description="how far the top may leave the reference plane"
     )
     max_slope: Angle = Field("60deg", validate_default=True, gt=0, lt=90, description="steepest facet")
     cells: Literal["eye", "vertical"] = Field("eye", description="facets are cut along eye rays or vertically")
@@ -117,9 +123,13 @@ class LensSpec(SpecModel):
 class Viewer(SpecModel):
     """Where the eye is. It is a pinhole."""
 
-    distance: Length = Field("400mm", validate_default=True, gt=0, description="from the reference plane to the eye")
-    x: Length = Field("0mm", validate_default=True, description="to the right of the lens's centre")
-    y: Length = Field("0mm", validate_default=True, description="above the lens's centre, as the viewer sees it")
+    distance: Length = Field(
+        "400mm", validate_default=True, ge=1, le=1e6, description="from the reference plane to the eye"
+    )
+    x: Length = Field("0mm", validate_default=True, ge=-1e5, le=1e5, description="to the right of the lens's centre")
+    y: Length = Field(
+        "0mm", validate_default=True, ge=-1e5, le=1e5, description="above the lens's centre, as the viewer sees it"
+    )
 
     def eye_mm(self, lens: Lens) -> FloatArray:
         """Position of the eye: (3,) float64, mm, world frame."""
@@ -222,11 +232,17 @@ class ReportSpec(SpecModel):
     )
 
 
+_DEVICES = {"CON", "PRN", "AUX", "NUL", *(f"{port}{k}" for port in ("COM", "LPT") for k in range(1, 10))}
+"""Names that Windows keeps for devices."""
+
+
 class Spec(SpecModel):
     """A whole spec. Every key but ``scenario`` has a default."""
 
     # a folder gets this name: no slashes, and no dot at the start, which would hide it or leave the folder ('..')
-    name: str = Field("lens", pattern=r"^[A-Za-z0-9][A-Za-z0-9._ -]*$", description="names the run folder")
+    name: str = Field(
+        "lens", max_length=100, pattern=r"^[A-Za-z0-9][A-Za-z0-9._ -]*$", description="names the run folder"
+    )
     seed: int = Field(0, strict=True, ge=0, description="equal seeds give equal lenses")
     scenario: Choice = Field(description="what the lens shows, from where")
     lens: LensSpec = Field(default_factory=LensSpec, description="the lens itself")
@@ -235,3 +251,10 @@ class Spec(SpecModel):
     fabrication: MachineChoice = Field(None, description="the machine that makes the lens: its limits hold")
     pipeline: PipelineSpec = Field(default_factory=PipelineSpec, description="the stages")
     report: ReportSpec = Field(default_factory=ReportSpec, description="what is found out about the finished lens")
+
+    @field_validator("name")
+    @classmethod
+    def _name_of_a_folder(cls, value: str) -> str:
+        if value.split(".")[0].strip().upper() in _DEVICES or value[-1] in ". ":
+            raise ValueError(f"'{value}' cannot be the name of a folder on every system")
+        return value

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from magiclens.contract.artifacts import FloatArray, IntArray
 from magiclens.contract.errors import InputError
 from magiclens.images.colour import grey, to_display, to_linear
-from magiclens.images.files import read_image
+from magiclens.images.files import check_ordinary, check_pixels, open_picture, read_image
 
 if TYPE_CHECKING:
     from av import VideoFrame
@@ -191,13 +191,14 @@ def _is_picture(path: Path) -> bool:
 
 def _moves(path: Path) -> bool | None:
     """Whether a picture file is animated; None if it is not a picture. Raises InputError if it is missing or broken."""
-    from PIL import Image, UnidentifiedImageError
+    from PIL import UnidentifiedImageError
 
+    check_ordinary(path, "movie file or folder")
     try:
-        with Image.open(path) as image:
+        with open_picture(path) as image:
             return image.format == "GIF" or (image.format in _ANIMATED and getattr(image, "is_animated", False))
-    except FileNotFoundError:
-        raise InputError(f"there is no movie file or folder {str(path)!r}") from None
+    except InputError:
+        raise
     except UnidentifiedImageError:
         return None
     except Exception as error:
@@ -206,10 +207,10 @@ def _moves(path: Path) -> bool | None:
 
 def _animation_frames(path: Path) -> Iterator[FloatArray]:
     """All frames of an animated picture, each composited over those before it."""
-    from PIL import Image, ImageSequence
+    from PIL import ImageSequence
 
     try:
-        with Image.open(path) as image:
+        with open_picture(path) as image:
             for frame in ImageSequence.Iterator(image):
                 yield _light(np.asarray(frame.convert("RGBA")))
     except Exception as error:  # decoders raise anything on broken files
@@ -218,10 +219,10 @@ def _animation_frames(path: Path) -> Iterator[FloatArray]:
 
 def _animation_rate(path: Path) -> float | None:
     """Frames per second of an animated picture."""
-    from PIL import Image, ImageSequence
+    from PIL import ImageSequence
 
     try:
-        with Image.open(path) as image:
+        with open_picture(path) as image:
             milliseconds = [_milliseconds(frame) for frame in ImageSequence.Iterator(image)]
     except Exception as error:
         raise _unreadable(path, error) from error
@@ -258,6 +259,7 @@ def _opened(path: Path) -> InputContainer:
     if not container.streams.video:
         container.close()
         raise InputError(f"{str(path)!r} holds no moving picture")
+    check_pixels((container.streams.video[0].width, container.streams.video[0].height), str(path))
     return container
 
 

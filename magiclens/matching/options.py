@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
 from magiclens.contract.artifacts import Lens
 from magiclens.contract.units import LengthOrPercent, relative
 from magiclens.matching.tuples import Window
+
+_LEAST = {"window": relative("0.1mm"), "step": relative("0.01mm")}
+"""The least values of options; a share is compared as if its source were 100 mm wide."""
+_LEAST_SCALE, _MOST_SCALE = 0.01, 10.0
+"""Magnitudes of maps that lenslets may have."""
 
 
 class MatchingOptions(BaseModel):
@@ -28,6 +33,14 @@ class MatchingOptions(BaseModel):
     step: LengthOrPercent = Field(relative("0.13mm"), description="distance between neighbouring offsets")
     polish: int = Field(64, ge=0, description="candidates per facet that are polished; 0: lattice positions only")
 
+    @field_validator("window", "step")
+    @classmethod
+    def _more_than_nothing(cls, value: LengthOrPercent, info: ValidationInfo) -> LengthOrPercent:
+        least = _LEAST[str(info.field_name)]
+        if value.value < (least.value / 100 if value.relative else least.value):
+            raise ValueError(f"must be at least {least}, or {least.value:g}%")
+        return value
+
     def window_on(self, lens: Lens, buckets: int = 1) -> Window:
         """The search window of a lens's facets, mm, for kernels."""
         width = lens.source_size_mm
@@ -43,6 +56,13 @@ class LatticeOptions(MatchingOptions):
     maps: Literal["symmetric", "scale"] = Field(
         "symmetric", description="`scale`: the paper's isotropic scales only; `symmetric`: flips, anisotropy, shear"
     )
+
+    @field_validator("scales")
+    @classmethod
+    def _magnitudes(cls, value: tuple[float, ...]) -> tuple[float, ...]:
+        if not all(_LEAST_SCALE <= scale <= _MOST_SCALE for scale in value):
+            raise ValueError(f"scales are from {_LEAST_SCALE:g} to {_MOST_SCALE:g}; maps of either sign are tried")
+        return value
 
     @property
     def isotropic(self) -> bool:

@@ -31,6 +31,8 @@ _SOURCE_PX_PER_MM = 15.0
 
 _LARGEST_PX = 4096
 """Largest side of a source, so that a large lens does not exhaust the memory."""
+_LEAST_RADIUS_MM = 0.05
+"""Smallest radius of a disc; millions of smaller ones would be needed, and no source has such fine pixels."""
 _TARGET_ART_PX = 1024
 """Side of targets that are drawn, which is finer than any render."""
 
@@ -57,7 +59,9 @@ Words = Annotated[
 class _Source(SpecModel, ABC):
     """A picture below the lens."""
 
-    size: Length | None = Field(None, gt=0, description="side of the square source; as large as the lens by default")
+    size: Length | None = Field(
+        None, ge=1, le=10_000, description="side of the square source; as large as the lens by default"
+    )
 
     @abstractmethod
     def raster(self, size_mm: float, art: Art) -> FloatArray:
@@ -86,8 +90,9 @@ class Circles(_Source):
     @field_validator("radius")
     @classmethod
     def _ordered(cls, value: list[float]) -> list[float]:
-        if not 0 < value[0] <= value[1]:
-            raise ValueError("write the smallest radius first, more than 0mm, such as [0.5mm, 2.5mm]")
+        if not _LEAST_RADIUS_MM <= value[0] <= value[1]:
+            least = f"at least {_LEAST_RADIUS_MM:g}mm"
+            raise ValueError(f"write the smallest radius first, {least}, such as [0.5mm, 2.5mm]")
         return value
 
     def raster(self, size_mm: float, art: Art) -> FloatArray:
