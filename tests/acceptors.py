@@ -19,7 +19,8 @@ def prusa_slicer(mesh: Path) -> dict[str, str]:
 
 def admesh(stl: Path) -> dict[str, int]:
     """What admesh had to repair in an STL file."""
-    said = subprocess.run(["admesh", stl], check=True, capture_output=True, text=True).stdout
+    # its report has bytes of its memory in it, behind the file's name
+    said = subprocess.run(["admesh", stl], check=True, capture_output=True).stdout.decode(errors="replace")
     return {name: int(count) for name, count in re.findall(r"^([A-Z][a-z ]+?) *: +(\d+)\s*$", said, re.MULTILINE)}
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from magiclens.config.suggest import advice, nearest_choice
-from magiclens.config.yaml_limits import MOST_BYTES, check_yaml
+from magiclens.config.yaml_limits import MOST_SPEC_BYTES, check_yaml
 from magiclens.contract.errors import InputError
 
 Keys = tuple[str | int, ...]
@@ -134,7 +134,7 @@ def _read(path: Path) -> str:
     try:
         with path.open("rb") as file:
             # one more than is allowed, which is then refused: the file may have no end
-            return file.read(MOST_BYTES + 1).decode("utf-8")
+            return file.read(MOST_SPEC_BYTES + 1).decode("utf-8")
     except FileNotFoundError:
         raise InputError(missing_file(path), str(path)) from None
     except IsADirectoryError:

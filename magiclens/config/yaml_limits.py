@@ -12,7 +12,7 @@ from typing import Any
 
 from magiclens.contract.errors import InputError
 
-MOST_BYTES = 500_000
+MOST_SPEC_BYTES = 500_000
 """The longest text that is read; the parser takes some seconds for so much."""
 MOST_VALUES = 20_000
 """The most values, those counted several times that aliases repeat; the parser makes about as many in a second."""
@@ -37,8 +37,8 @@ def check_yaml(text: str, name: str) -> None:
             error names the line.
         ruamel.yaml.error.YAMLError: It is not YAML.
     """
-    if len(text) > MOST_BYTES:
-        raise InputError(f"this is longer than {MOST_BYTES // 1000} kB; a spec is a short text", f"{name}:1")
+    if len(text) > MOST_SPEC_BYTES:
+        raise InputError(f"this is longer than {MOST_SPEC_BYTES // 1000} kB; a spec is a short text", f"{name}:1")
     sizes: dict[str, int | None] = {}
     opened: list[tuple[str | None, int]] = []
     values = 0
@@ -98,6 +98,7 @@ def _check_scalar(event: Any, where: str) -> None:
     found = _DATE.match(event.value)
     if found:
         try:
-            datetime(*(int(part or 0) for part in found.groups()))
+            year, month, day, hour, minute, second = (int(part or 0) for part in found.groups())
+            datetime(year, month, day, hour, minute, second)
         except ValueError:
             raise InputError(f"there is no date '{event.value}'; put text in quotes", where) from None

@@ -22,7 +22,7 @@ from magiclens.plan.compile import Plan, load_plan
 from magiclens.plan.registry import EXECUTOR, Registry
 from magiclens.running.manifest import spec_text, versions
 from magiclens.running.pipeline import run_plan
-from magiclens.running.run_folder import verified
+from magiclens.running.run_files import verified
 
 
 @dataclass(frozen=True)

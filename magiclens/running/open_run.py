@@ -20,7 +20,7 @@ from magiclens.plan.compile import Plan, load_plan
 from magiclens.plan.registry import Registry
 from magiclens.running.folder import HEIGHTS
 from magiclens.running.manifest import refresh_manifest, source_path
-from magiclens.running.run_folder import RunFolder, verified
+from magiclens.running.run_files import RunFiles, verified
 
 if TYPE_CHECKING:
     from magiclens.preflight.finding import Preflight
@@ -40,7 +40,7 @@ class OpenRun:
             ``printed_scene``).
     """
 
-    files: RunFolder
+    files: RunFiles
     plan: Plan
     scene: Scene
 
@@ -184,7 +184,7 @@ def check_run_folder(folder: str | Path, registry: Registry | None = None) -> tu
     return found, preflight_text(found)
 
 
-def _plan_of(files: RunFolder, registry: Registry | None) -> Plan:
+def _plan_of(files: RunFiles, registry: Registry | None) -> Plan:
     """The plan that the run was made by, whose files are all copies in the run folder."""
     plan, inputs = load_plan(files.file("spec.yaml"), (), registry), Inputs()
     plan.resolved(inputs)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from magiclens.config.document import read_document
-from magiclens.config.yaml_limits import MOST_BYTES, MOST_LEVELS
+from magiclens.config.yaml_limits import MOST_LEVELS, MOST_SPEC_BYTES
 from magiclens.contract.errors import InputError
 
 
@@ -68,7 +68,7 @@ def test_what_a_spec_never_needs_is_refused_at_once_with_its_line(kind: str, tmp
 
 
 def test_a_file_without_an_end_is_not_read_to_the_end() -> None:
-    with pytest.raises(InputError, match=f"longer than {MOST_BYTES // 1000} kB|not YAML"):
+    with pytest.raises(InputError, match=f"longer than {MOST_SPEC_BYTES // 1000} kB|not YAML"):
         read_document("/dev/zero")
 
 

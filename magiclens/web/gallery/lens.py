@@ -15,7 +15,7 @@ from magiclens.contract.errors import InputError
 from magiclens.report.tables import TableRow, format_bytes, metric_headlines
 from magiclens.running.folder import MANIFEST
 from magiclens.running.manifest import REFERENCE_RENDERER
-from magiclens.running.run_folder import verified
+from magiclens.running.run_files import verified
 from magiclens.web.gallery.gallery_list import GalleryEntry
 from magiclens.web.gallery.highlight import highlighted
 from magiclens.web.gallery.pictures import Album, Picture

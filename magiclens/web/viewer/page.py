@@ -13,7 +13,7 @@ from magiclens.pages.templating import render_page, template_text
 from magiclens.running.manifest import REFERENCE_RENDERER, refresh_manifest, render_path, source_path
 from magiclens.running.open_run import OpenRun, open_run
 from magiclens.running.replacing import atomic_file
-from magiclens.running.run_folder import verified
+from magiclens.running.run_files import verified
 from magiclens.web.viewer.pictures import thumbnail_uri
 from magiclens.web.viewer.viewer_data import viewer_data
 

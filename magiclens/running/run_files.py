@@ -79,7 +79,7 @@ class RunManifest(BaseModel):
 
 
 @dataclass(frozen=True)
-class RunFolder:
+class RunFiles:
     """A run folder whose manifest is right; see ``verified``.
 
     Attributes:
@@ -110,7 +110,7 @@ class RunFolder:
         path, wanted = self.path / name, self.listed[name]
         try:
             if not path.resolve().is_relative_to(self.path.resolve()) or not path.is_file():
-                raise InputError("the file is missing", str(path))
+                raise InputError(f"there is no {name}, although the run has written it", str(self.path))
             content = path.read_bytes() if path.stat().st_size == wanted["bytes"] else b""
         except OSError as error:
             raise InputError(f"the file cannot be read: {error.strerror}", str(path)) from None
@@ -143,13 +143,13 @@ class RunFolder:
         return heights
 
     def transport(self, view: View) -> Transport | None:
-        """The traced matrix of a view; None if the run has kept none.
+        """The traced matrix of a view; None if the folder has none.
 
         Raises:
             InputError: The file is no matrix from the view's source to a picture.
         """
         name = transport_path(view)
-        if not self.has(name):
+        if not self.has(name) or not (self.path / name).exists():  # it is large, and may have been deleted to save room
             return None
         from scipy.sparse import csr_array, load_npz
 
@@ -172,7 +172,7 @@ class RunFolder:
                 self.file(name)
 
 
-def verified(folder: str | Path) -> RunFolder:
+def verified(folder: str | Path) -> RunFiles:
     """Open a run folder, and check its manifest; files are checked when they are asked for.
 
     Raises:
@@ -195,7 +195,7 @@ def verified(folder: str | Path) -> RunFolder:
     except ValidationError as error:
         first = error.errors()[0]
         raise InputError(f"{'.'.join(map(str, first['loc'])) or 'it'}: {first['msg']}", str(where)) from None
-    return RunFolder(path, manifest)
+    return RunFiles(path, manifest)
 
 
 @contextmanager
