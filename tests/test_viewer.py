@@ -328,7 +328,7 @@ def test_two_fingers_turn_and_lift(visit: Any) -> None:
     touch(session, "touchEnd")
     pose = tab.evaluate("magiclens.pose()")
     assert pose["angle"] == pytest.approx(42, abs=2)
-    assert pose["lift"] == pytest.approx(0.5 * 0.4 * 40, rel=0.1)
+    assert pose["lift"] == pytest.approx(0.5 * 0.4 * SIDE_MM, rel=0.1)
 
 
 def test_the_keyboard_alone_brings_the_lens_home_and_opens_everything(visit: Any) -> None:
