@@ -88,6 +88,14 @@ def test_an_unknown_analysis_is_an_error_with_its_place(write_spec: SpecWriter, 
         load_plan(spec, (), measures)
 
 
+def test_an_analysis_that_two_plugins_claim_is_found_before_the_run(
+    write_spec: SpecWriter, measures: Registry
+) -> None:
+    measures.register(plugin_of(SLOW), Plugin("other", "other-package", "2"))
+    with pytest.raises(StageError, match="is claimed by"):
+        load_plan(write_spec(), (), measures)
+
+
 def test_a_failing_analysis_is_named(write_spec: SpecWriter, registry: Registry, tmp_path: Path) -> None:
     def fail(plan: Plan, result: RunResult) -> Findings:
         raise ZeroDivisionError("no light")

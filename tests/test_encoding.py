@@ -116,10 +116,13 @@ def test_frames_have_sources_of_their_own_and_unseen_pixels_keep_what_was_given(
     np.testing.assert_array_equal(a[~seen], given.views[0].source.ravel()[~seen])
 
 
-def test_reserved_pixels_stay_bit_for_bit_and_are_reckoned_with(rng: np.random.Generator) -> None:
+@pytest.mark.parametrize("finer", [1, 3])
+def test_reserved_pixels_stay_bit_for_bit_and_are_reckoned_with(finer: int, rng: np.random.Generator) -> None:
+    """Their raster may be finer than that of a source."""
     reserved = np.zeros((2 * SIDE, 2 * SIDE), bool)
     reserved[: SIDE // 2] = True
-    transport, given = shuffled(), scene(rng, [picture(rng)], ["a"], reserved)
+    fine = np.kron(reserved, np.ones((finer, finer), bool))
+    transport, given = shuffled(), scene(rng, [picture(rng)], ["a"], fine)
     (view,) = encoded(given, [transport], camouflage={"type": "noise"}, bleed="2mm").views
     np.testing.assert_array_equal(view.source[reserved], given.views[0].source[reserved])
     assert (view.source != given.views[0].source)[~reserved].mean() > 0.9

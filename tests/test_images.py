@@ -26,6 +26,7 @@ from magiclens.images import (
     to_linear,
     write_png,
 )
+from magiclens.images.resample import pixels_touching
 
 
 def noise(*shape: int) -> FloatArray:
@@ -327,3 +328,13 @@ def test_importing_the_package_loads_nothing_heavy() -> None:
     code = "import sys, magiclens.images; print(' '.join(sys.modules))"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     assert not heavy & set(loaded)
+
+
+@pytest.mark.parametrize("sides", [(6, 6), (6, 3), (6, 4), (4, 6), (5, 50), (50, 7)])
+def test_a_mask_on_another_raster_covers_all_that_it_covered(sides: tuple[int, int]) -> None:
+    old, new = sides
+    mask = np.random.default_rng(3).random((old, old)) < 0.2
+    found = pixels_touching(mask, (new, new))
+    fine = np.kron(mask, np.ones((new, new), bool))  # so fine that both rasters divide it
+    expected = fine.reshape(new, old, new, old).any(axis=(1, 3))
+    np.testing.assert_array_equal(found, expected)

@@ -10,6 +10,7 @@ import numpy as np
 from magiclens.analysis.base import Analysis, Findings
 from magiclens.contract.artifacts import BoolArray, FloatArray, IntArray, Transport
 from magiclens.contract.result import RunResult
+from magiclens.images.resample import pixels_touching
 from magiclens.plan.compile import Plan
 
 if TYPE_CHECKING:
@@ -36,15 +37,16 @@ def leaks(transports: Sequence[Transport], facets: int, reserved: BoolArray | No
         source's picture that comes from pixels of which another facet draws more; with reserved pixels also
         ``leak_from_reserved``, the share that comes from these. Shares are means over the views.
     """
-    different = {id(transport): transport for transport in transports}.values()
+    different = list({id(transport): transport for transport in transports}.values())
     seen = [facet_weights(transport, facets) for transport in different]
     found = {
         "overlap_max": float(max(facets_per_pixel(s).max() for s in seen)),
         "leak": float(np.mean([leaked_share(s) for s in seen])),
     }
     if reserved is not None:
-        kept = reserved.ravel()
-        found["leak_from_reserved"] = float(np.mean([_drawn(s)[kept].sum() / max(s.sum(), 1e-30) for s in seen]))
+        kept = [pixels_touching(reserved, transport.source_shape).ravel() for transport in different]
+        shares = [_drawn(s)[k].sum() / max(s.sum(), 1e-30) for s, k in zip(seen, kept, strict=True)]
+        found["leak_from_reserved"] = float(np.mean(shares))
     return found
 
 

@@ -13,6 +13,7 @@ from magiclens.contract.artifacts import BoolArray, FloatArray, IntArray, Scene,
 from magiclens.contract.stages import Encoder, Progress, silent
 from magiclens.contract.units import Fraction, Length
 from magiclens.images import resize, to_display, to_linear
+from magiclens.images.resample import pixels_touching
 from magiclens.scenarios.camouflage import Camouflage
 
 if TYPE_CHECKING:
@@ -73,7 +74,9 @@ class LeastSquaresEncoder(Encoder):
             views, seen_by = [scene.views[k] for k in group], [transports[k] for k in group]
             same = tuple(map(id, seen_by))  # frames of an animation share one matrix, which is prepared once
             if same not in matrices:
-                paintable = None if scene.reserved is None else ~scene.reserved.ravel()
+                # reserved pixels may have a resolution of their own
+                kept = None if scene.reserved is None else pixels_touching(scene.reserved, views[0].source.shape[:2])
+                paintable = None if kept is None else ~kept.ravel()
                 bleed_px = self.bleed / scene.lens.source_size_mm * len(views[0].source)
                 matrices[same] = _SourceMatrix(seen_by, paintable, bleed_px)
             painted[name] = self._paint(views, matrices[same], seen_by[0].shape, scene, rng)

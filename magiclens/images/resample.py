@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from magiclens.contract.artifacts import FloatArray
+from magiclens.contract.artifacts import BoolArray, FloatArray, IntArray
 
 
 def resize(linear: FloatArray, shape: tuple[int, int]) -> FloatArray:
@@ -21,6 +21,32 @@ def resize(linear: FloatArray, shape: tuple[int, int]) -> FloatArray:
     for axis in (0, 1):
         out = np.swapaxes(_resize_rows(np.swapaxes(out, 0, axis), shape[axis]), 0, axis)
     return np.ascontiguousarray(np.clip(out, 0.0, 1.0))
+
+
+def pixels_touching(mask: BoolArray, shape: tuple[int, int]) -> BoolArray:
+    """Pixels of another raster of the same square that touch any pixel of a mask.
+
+    Args:
+        mask: (h, w).
+        shape: Rows and columns of the other raster.
+
+    Returns:
+        (H, W).
+    """
+    if mask.shape == shape:
+        return mask
+    counts = np.zeros((mask.shape[0] + 1, mask.shape[1] + 1), np.int64)
+    counts[1:, 1:] = mask.cumsum(axis=0).cumsum(axis=1)  # of true pixels above and to the left
+    (top, bottom), (left, right) = (_span(old, new) for old, new in zip(mask.shape, shape, strict=True))
+    below, above = counts[bottom], counts[top]
+    touching: BoolArray = below[:, right] - below[:, left] - above[:, right] + above[:, left] > 0
+    return touching
+
+
+def _span(old: int, new: int) -> tuple[IntArray, IntArray]:
+    """For each of ``new`` pixels along a side, the first of ``old`` ones that it touches, and one after the last."""
+    edges = np.arange(new + 1) * old
+    return edges[:-1] // new, -(-edges[1:] // new)
 
 
 def padded_to_square(linear: FloatArray) -> FloatArray:

@@ -168,7 +168,8 @@ def _number(value: float) -> float | None:
 
 def versions(plan: Plan) -> dict[str, str]:
     """Versions of Python and of every package that can change the run's result."""
-    known = {name: _version(name) for name in _LIBRARIES} | {s.plugin.package: s.plugin.version for s in plan.steps}
+    plugins = [plan.scenario_plugin, *(step.plugin for step in plan.steps), *(each.plugin for each in plan.analyses)]
+    known = {name: _version(name) for name in _LIBRARIES} | {plugin.package: plugin.version for plugin in plugins}
     return {"python": platform.python_version(), **{name: v for name, v in sorted(known.items()) if v}}
 
 
