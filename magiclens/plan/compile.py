@@ -252,7 +252,7 @@ class _Compiler:
 
     def _check_analyses(self, spec: Spec | None) -> None:
         """Note names of analyses that no plugin contributes; ``find`` raises an error where several do."""
-        wanted = spec and spec.report.analyses
+        wanted = spec.report.analyses if spec else []
         for i, name in enumerate(self._registry.classes(ANALYSIS) if wanted is None else wanted):
             if self._registry.find(ANALYSIS, name) is None:
                 self._checker.add(("report", "analyses", i), self._unknown(name, ANALYSIS))
