@@ -160,7 +160,7 @@ def test_a_folder_that_cannot_be_written_is_named(mlens: Any, write_spec: SpecWr
     (tmp_path / "file").touch()
     result = mlens("run", write_spec(), "--out", tmp_path / "file" / "out")
     assert result.exit_code == 2
-    assert "--out: cannot write in" in result.stderr
+    assert "is a file; choose another --out" in result.stderr
 
 
 def test_check_names_the_views(mlens: Any, write_spec: SpecWriter) -> None:

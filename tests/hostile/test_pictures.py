@@ -20,7 +20,8 @@ from magiclens.images.files import MOST_PIXELS_VARIABLE, read_image
 from magiclens.images.movies import read_frames
 
 PEAK = """
-import resource, sys
+import re, sys
+from pathlib import Path
 from magiclens.contract.errors import InputError
 from magiclens.images.files import read_image
 from magiclens.images.resample import padded_to_square
@@ -28,7 +29,8 @@ try:
     padded_to_square(read_image(sys.argv[1]))
 except InputError as error:
     print("refused:", error)
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)
+# not getrusage, which also counts the memory of the process that started this one
+print(int(re.search(r"VmHWM:\\s*(\\d+)", Path("/proc/self/status").read_text())[1]) // 1024)
 """
 
 
