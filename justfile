@@ -26,9 +26,10 @@ tools *args:
 sweep *args:
     pytest -m sweep "$@"
 
-# lint, types, import layers
+# lint, layout, types, import layers
 lint:
     ruff check .
+    ruff format --check magiclens
     mypy
     lint-imports
 

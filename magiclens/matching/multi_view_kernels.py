@@ -150,7 +150,7 @@ def _maps_on_source(sighting, m, half_pitch, half_source):
 
 @njit(cache=True, error_model="numpy")
 def _search_facet(f, views, facets, trials, window, optics, found):
-    """Try every offset and every map for facet f, see ``search``."""
+    """Try every offset and every map for facet f, see ``search_views``."""
     count, channels = views.targets.shape[0], views.targets.shape[1]
     n = 2 * int(window.half / window.step) + 1
     norm = 1.0 / (count * channels * BLOCKS * BLOCKS)

@@ -1,4 +1,4 @@
-"""Finds plugins and keeps what they contribute; no other file uses pluggy.
+"""Finds plugins and keeps what they contribute; no other file uses pluggy's plugin manager.
 
 Built-in stages come through the same group of entry points as those of other packages. Entry points are loaded one by
 one. A plugin that fails is recorded and stops nothing; what it prints goes to standard error. Later, plugins are called
