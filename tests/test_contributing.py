@@ -84,5 +84,5 @@ def test_short_commands_are_those_that_the_page_explains() -> None:
 def test_hooks_before_a_commit_are_the_checks_of_the_suite() -> None:
     (local,) = read_yaml(".pre-commit-config.yaml")["repos"]
     entries = [hook["entry"].split()[0] for hook in local["hooks"]]
-    assert entries == ["ruff", "mypy", "lint-imports", "python"]
+    assert entries == ["ruff", "ruff", "mypy", "lint-imports", "python"]
     assert {hook["language"] for hook in local["hooks"]} == {"system"}
