@@ -127,7 +127,7 @@ def test_what_would_be_too_coarse_to_be_true_is_not_simulated() -> None:
     assert as_made(mill(V), scene_of(large), flat(large)) is None
 
 
-@pytest.mark.tools
+@pytest.mark.sweep
 def test_blunt_cutters_cost_more() -> None:
     design = bumpy(lens=SMALL, seed=1)
     scene = scene_of(SMALL)

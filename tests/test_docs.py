@@ -49,8 +49,15 @@ def commands(page: Path) -> list[str]:
 WITH_COMMANDS = [page for page in PAGES if commands(page)]
 
 
-@pytest.mark.tools
-@pytest.mark.parametrize("page", WITH_COMMANDS, ids=[page.stem for page in WITH_COMMANDS])
+LONG = {"mill", "print"}
+"""Pages whose commands take a minute and more."""
+MARKED = [
+    pytest.param(page, id=page.stem, marks=pytest.mark.sweep if page.stem in LONG else pytest.mark.tools)
+    for page in WITH_COMMANDS
+]
+
+
+@pytest.mark.parametrize("page", MARKED)
 def test_commands_work_as_they_are_written(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     write_png(tmp_path / "cat.png", ART["panda"](256))

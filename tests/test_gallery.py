@@ -341,7 +341,7 @@ def test_no_page_complains_or_asks_for_anything_elsewhere(site: Path, browser: B
     assert complaints(site, browser, scheme) == {}
 
 
-@pytest.mark.parametrize("colours", ["light", "dark"])
+@pytest.mark.parametrize("colours", ["light", pytest.param("dark", marks=pytest.mark.sweep)])
 def test_pages_are_accessible(site: Path, browser: Browser, colours: str) -> None:
     assert findings(site, browser, colours) == {}
 

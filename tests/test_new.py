@@ -175,7 +175,7 @@ LARGER = {
 
 
 @pytest.mark.parametrize(
-    "scenario", [pytest.param(name, marks=[pytest.mark.tools] * (name in LONG)) for name in LAYOUTS]
+    "scenario", [pytest.param(name, marks=[pytest.mark.sweep] * (name in LONG)) for name in LAYOUTS]
 )
 def test_every_scenarios_spec_runs(scenario: str, panda: Path, tmp_path: Path) -> None:
     new_spec(scenario, [panda], tmp_path / "my.yaml")

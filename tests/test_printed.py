@@ -97,7 +97,7 @@ def scene_of(lens: Lens) -> Scene:
     return Scene(lens, (grey_view(source, source, (0.0, 0.0, 108.0)),))
 
 
-@pytest.mark.tools
+@pytest.mark.sweep
 def test_a_very_fine_printer_costs_nothing_and_a_coarse_one_does() -> None:
     rough = bumpy(seed=1)
     scene = scene_of(LENS)
