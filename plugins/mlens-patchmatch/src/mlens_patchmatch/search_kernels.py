@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
+from numpy.typing import NDArray
 
 from magiclens import FloatArray, IntArray
 
@@ -36,7 +37,7 @@ class World(NamedTuple):
 
     tiles: FloatArray
     centres: FloatArray
-    reach: FloatArray
+    reach: NDArray[np.bool_]
     levels: FloatArray
     widths: FloatArray
     per_mm: float
