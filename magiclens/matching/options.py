@@ -12,7 +12,7 @@ from magiclens.matching.tuples import Window
 
 _LEAST = {"window": relative("0.1mm"), "step": relative("0.01mm")}
 """The least values of options; a share is compared as if its source were 100 mm wide."""
-_LEAST_SCALE, _MOST_SCALE = 0.01, 10.0
+_LEAST_SCALE, _MOST_SCALE = 0.01, 100.0
 """Magnitudes of maps that lenslets may have."""
 
 

@@ -176,7 +176,7 @@ def test_a_worker_that_is_killed_in_mid_sweep_loses_nothing(
 def kill_one(out: Path, others: set[psutil.Process], killed: list[int]) -> None:
     """Kill a worker as soon as one run is finished and another is half done."""
     limit = time.monotonic() + 120
-    while not (list(out.glob("*/manifest.json")) and list(out.glob(".*-*/spec.yaml"))):
+    while not (list(out.glob("*/manifest.json")) and list(out.glob(".mlens-*/*/spec.yaml"))):
         if time.monotonic() > limit:
             return
         time.sleep(0.01)
