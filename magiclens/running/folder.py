@@ -26,7 +26,7 @@ OF_SYSTEMS = frozenset({".DS_Store", "Thumbs.db", "desktop.ini"})
 """Files that operating systems leave in folders that somebody has looked at; nobody misses them."""
 
 
-def place_for(out: Path, option: str = "--out") -> Path:
+def place_for(out: Path) -> Path:
     """Where a run folder for ``out`` is written: the same path, without links.
 
     Raises:
@@ -34,26 +34,26 @@ def place_for(out: Path, option: str = "--out") -> Path:
             folder that the run has not made, the working folder, a link to nothing.
     """
     if out.is_symlink() and not out.exists():
-        raise InputError(f"'{out}' is a link to nothing; choose another {option}", option)
+        raise InputError(f"'{out}' is a link to nothing; choose another --out", "--out")
     place = out.resolve()
     if not place.exists():
-        _check_writable(place, option)
+        _check_writable(place)
         return place
     if not place.is_dir():
-        raise InputError(f"'{out}' is there already and is not a run folder; choose another {option}", option)
+        raise InputError(f"'{out}' is there already and is not a run folder; choose another --out", "--out")
     if place == Path.cwd() or place in Path.cwd().parents or os.path.ismount(place):
-        raise InputError(f"'{out}' is in use as a folder and cannot be replaced; choose another {option}", option)
+        raise InputError(f"'{out}' is in use as a folder and cannot be replaced; choose another --out", "--out")
     strangers = _not_of_the_run(place)
     if strangers is None:
-        raise InputError(f"'{out}' is there already and is not a run folder; choose another {option}", option)
+        raise InputError(f"'{out}' is there already and is not a run folder; choose another --out", "--out")
     if strangers:
         more = f" and {len(strangers) - 1} more" if len(strangers) > 1 else ""
         raise InputError(
             f"'{out}' is an older run, but '{strangers[0]}'{more} is not of it and would be lost; "
-            f"move it away or choose another {option}",
-            option,
+            "move it away or choose another --out",
+            "--out",
         )
-    _check_writable(place, option)
+    _check_writable(place)
     return place
 
 
@@ -108,10 +108,10 @@ def _not_of_the_run(folder: Path) -> list[str] | None:
     return [name for name in names if name not in listed or (folder / name).is_symlink()]
 
 
-def _check_writable(place: Path, option: str) -> None:
+def _check_writable(place: Path) -> None:
     """Raise InputError unless the folder can be made: this is better known before a run than after it."""
     above = next(folder for folder in place.parents if folder.exists())
     if not above.is_dir():
-        raise InputError(f"'{above}' is a file; choose another {option}", option)
+        raise InputError(f"'{above}' is a file; choose another --out", "--out")
     if not os.access(above, os.W_OK | os.X_OK):
-        raise InputError(f"cannot write in '{above}'; choose another {option}", option)
+        raise InputError(f"cannot write in '{above}'; choose another --out", "--out")

@@ -117,11 +117,9 @@ def _new_hidden_folder(above: Path, place: Path) -> Path:
     """Make a hidden folder on the same disk as the place, so that renaming takes no copy."""
     name = f"{_MARK}{_digest(place)}-{_process(os.getpid())}-"
     try:
-        hidden = Path(tempfile.mkdtemp(prefix=name, dir=above))
+        return Path(tempfile.mkdtemp(prefix=name, dir=above))
     except OSError as error:
         raise InputError(f"cannot write in '{above}': {error.strerror}", "--out") from None
-    hidden.chmod(0o777 & ~_umask())  # mkdtemp makes folders that only their owner may read
-    return hidden
 
 
 def _digest(text: object) -> str:
@@ -155,9 +153,3 @@ def _is_alive(hidden: str) -> bool:
     except PermissionError:  # it is somebody else's
         return True
     return began == _began(int(pid))
-
-
-def _umask() -> int:
-    mask = os.umask(0)  # the mask can be read only by setting it
-    os.umask(mask)
-    return mask

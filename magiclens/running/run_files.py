@@ -10,6 +10,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any
 
@@ -90,7 +91,7 @@ class RunFiles:
     path: Path
     manifest: dict[str, Any]
 
-    @property
+    @cached_property
     def listed(self) -> dict[str, dict[str, Any]]:
         """What the manifest says of its files, by path."""
         return {artifact["path"]: artifact for artifact in self.manifest["artifacts"]}
@@ -165,11 +166,10 @@ class RunFiles:
             raise InputError("it holds shares of light that are none", str(path))
         return Transport(matrix, (side, side), (rows, columns))
 
-    def check_files(self, *folders: str) -> None:
-        """Check all listed files, or those in some folders. Raises InputError as ``file``."""
+    def check_files(self) -> None:
+        """Check all listed files. Raises InputError as ``file``."""
         for name in self.listed:
-            if not folders or name.startswith(tuple(f"{folder}/" for folder in folders)):
-                self.file(name)
+            self.file(name)
 
 
 def verified(folder: str | Path) -> RunFiles:
