@@ -22,6 +22,10 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 """Tests run side by side: kernels whose threads wait busily for each other would take the others' cores."""
 
 
+os.environ["MLENS_CACHE_SIZE"] = "0"
+"""Tests see every stage run, and leave the user's cache alone; those about the cache have one of their own."""
+
+
 def pytest_sessionstart(session: pytest.Session) -> None:
     """Compile all kernels in two processes, or each worker would compile them; not for tests that are named."""
     config, done = session.config, cache_folder() / "all"

@@ -24,7 +24,7 @@ from magiclens.analysis.surface import SURFACE, wall_picture
 from magiclens.analysis.warp import TINT, facet_colours, tinted
 from magiclens.contract.artifacts import Assignment, FloatArray, HeightField, IntArray, Lens, Scene, Solid, View
 from magiclens.contract.result import RunResult
-from magiclens.drawing.photographs import photograph
+from magiclens.drawing.photographs import photograph, photographs
 from magiclens.drawing.scales import BLUE_TO_RED, DIVERGING, ColourScale
 from magiclens.drawing.shading import hidden_share, sample_heights, shade_heights
 from magiclens.drawing.tiles import PAPER_COLOUR, TEXT_LINE, TICK_WIDTH, TILE_GAP, Tile, render_rows, to_pixels
@@ -32,7 +32,7 @@ from magiclens.geometry.facets import central_slopes, patches_seen
 from magiclens.plan.compile import load_plan
 from magiclens.plan.registry import Plugin, Registry
 from magiclens.report.tables import format_metric, metric_rows
-from magiclens.report.write import write_report
+from magiclens.report.write import write_figure, write_report
 from magiclens.running.pipeline import run_plan
 from scenes import (
     ABOVE,
@@ -88,7 +88,8 @@ def run_data(
 def report_on(result: RunResult, folder: Path) -> None:
     """Writes the report with the figures of the analyses that need no plan."""
     analyses = (CONTACT_SHEET, PICTURE_ERROR, SURFACE, ANNEALING_EFFECT, OVERLAP)
-    write_report(result, [figure for each in analyses for figure in each.figures(result, Findings())], folder)
+    figures = [write_figure(figure, folder) for each in analyses for figure in each.figures(result, Findings())]
+    write_report(result, figures, photographs(result), folder)
 
 
 def two_turns(target: FloatArray | None = None) -> tuple[View, ...]:

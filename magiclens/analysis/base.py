@@ -46,14 +46,19 @@ def no_figures(result: RunResult, findings: Findings) -> list[Figure]:
 class Analysis:
     """One question about a finished lens. Analyses are pure; the run writes what they find.
 
+    They ask of the lens, not of its files: the plan that ``compute`` is given has no exporters, and the manifest that
+    ``figures`` is given has ``metrics`` alone.
+
     Attributes:
         name: What ``report.analyses`` of a spec calls it, in lower case with hyphens.
         applies: Whether lenses of this plan can be asked.
         compute: The answer; None if this lens turns out to have none.
         figures: The answer drawn, for ``figures/`` and the report.
+        repeatable: Whether equal lenses get equal answers, so that these are kept, as ``Stage.repeatable`` says.
     """
 
     name: str
     applies: Callable[[Plan], bool] = always
     compute: Callable[[Plan, RunResult], Findings | None] = nothing
     figures: Callable[[RunResult, Findings], Sequence[Figure]] = no_figures
+    repeatable: bool = True

@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 import magiclens
-from magiclens.cli import doctor, lens, many, new, plugins, run
+from magiclens.cli import cache, doctor, lens, many, new, plugins, run
 
 app = typer.Typer(
     name="mlens",
@@ -39,6 +39,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "preflight": lens.preflight_command,
     "machined": lens.machined_command,
     "view": lens.view_command,
+    "cache": cache.cache_command,
     "doctor": doctor.doctor_command,
 }
 """Every command by its name, in the order of ``mlens --help``."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -15,12 +15,14 @@ from magiclens.cli.common import (
     Quiet,
     SpecFile,
     Traceback,
+    print_note,
     print_result,
     reporting,
 )
 
 if TYPE_CHECKING:
-    from magiclens.running.pipeline import Run
+    from magiclens.plan.compile import Plan
+    from magiclens.running.observers import Observer
 
 
 def run_command(
@@ -29,23 +31,34 @@ def run_command(
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="The run folder.", show_default="out/NAME")
     ] = None,
+    no_cache: Annotated[
+        bool,
+        typer.Option("--no-cache", help="Do everything; neither keep results nor use what earlier runs have kept."),
+    ] = False,
     quiet: Quiet = False,
     as_json: AsJson = False,
     traceback: Traceback = False,
 ) -> None:
-    """Design the lens of SPEC and write a run folder: mesh, source, simulated photographs, manifest."""
+    """Design the lens of SPEC and write a run folder: mesh, source, simulated photographs, manifest.
+
+    What an earlier run has kept is not done again, also after that run was killed.
+    """
     with reporting(traceback):
-        from magiclens.running.compilation import compiling_ahead
+        from magiclens.cache.folder import keep_nothing
+        from magiclens.plan.compile import load_plan
         from magiclens.running.observers import Observer, terminal_observer
-        from magiclens.running.pipeline import run_spec
+        from magiclens.running.pipeline import kept_run
         from magiclens.running.termination import end_on_sigterm
 
         end_on_sigterm()
+        if no_cache:
+            keep_nothing()
         # progress goes to standard error, so that standard output holds the result alone
         observer = Observer() if quiet or as_json else terminal_observer(sys.stderr)
-        with compiling_ahead(spec, overrides, observer) as observer:
-            done = run_spec(spec, out, overrides, observer)
-        print_result(lambda: _summary(done), lambda: {"folder": str(done.folder), **done.manifest}, quiet, as_json)
+        plan = load_plan(spec, overrides)
+        folder = out or Path("out", plan.spec.name)
+        manifest = kept_run(plan, folder, observer) or _run(plan, spec, overrides, folder, observer)
+        print_result(lambda: _summary(folder, manifest), lambda: {"folder": str(folder), **manifest}, quiet, as_json)
 
 
 def check_command(
@@ -61,27 +74,60 @@ def check_command(
         print_result(lambda: f"{spec}: ok, {scenario}, views: {', '.join(views)}", lambda: data, quiet, as_json)
 
 
-def plan_command(spec: SpecFile, overrides: Overrides, as_json: AsJson = False, traceback: Traceback = False) -> None:
+def plan_command(
+    spec: SpecFile,
+    overrides: Overrides,
+    why: Annotated[
+        bool, typer.Option("--why", help="Show instead which steps a run would do, and why they are not in the cache.")
+    ] = False,
+    as_json: AsJson = False,
+    traceback: Traceback = False,
+) -> None:
     """Show the compiled pipeline of SPEC with every option."""
     with reporting(traceback):
         from magiclens.plan.compile import load_plan
         from magiclens.plan.describe import describe_plan
 
         plan = load_plan(spec, overrides)
-        print_result(lambda: describe_plan(plan), plan.resolved, as_json=as_json)
+        if why:
+            _print_forecast(plan, as_json)
+        else:
+            print_result(lambda: describe_plan(plan), plan.resolved, as_json=as_json)
 
 
-def _summary(done: Run) -> str:
+def _print_forecast(plan: Plan, as_json: bool) -> None:
+    from magiclens.cache.store import usual_cache
+    from magiclens.running.forecast import forecast, whole_run_kept
+
+    cache = usual_cache(print_note)
+    steps = forecast(plan, cache)
+    whole = cache is not None and whole_run_kept(plan, cache)
+    end = "the whole run is kept: its files are copied" if whole else "the rest, such as the report, runs"
+    data = {"whole_run_kept": whole, "steps": [vars(step) for step in steps]}
+    print_result(lambda: "\n".join([*map(str, steps), "", end]), lambda: data, as_json=as_json)
+
+
+def _run(plan: Plan, spec: Path, overrides: list[str], folder: Path, observer: Observer) -> dict[str, Any]:
+    """Run a plan, and compile ahead what it needs; its manifest."""
+    # not imported for a run that is in the cache: numba takes longer to import than such a run takes
+    from magiclens.running.compilation import compiling_ahead
+    from magiclens.running.pipeline import run_plan
+
+    with compiling_ahead(spec, overrides, observer) as watching:
+        return run_plan(plan, folder, watching).manifest
+
+
+def _summary(folder: Path, manifest: dict[str, Any]) -> str:
     """Scores of every view, and where the files are."""
-    scores = [key for key in done.manifest["views"][0] if key.startswith(("psnr_db", "ssim"))]
+    scores = [key for key in manifest["views"][0] if key.startswith(("psnr_db", "ssim"))]
     lines = [f"{'view':16}" + "".join(f"{key:>18}" for key in scores)]
-    for view in done.manifest["views"]:
+    for view in manifest["views"]:
         lines.append(f"{view['name']:16}" + "".join(f"{_score_text(view[key]):>18}" for key in scores))
-    files = [a["path"] for a in done.manifest["artifacts"] if "/" not in a["path"]]
+    files = [a["path"] for a in manifest["artifacts"] if "/" not in a["path"]]
     if "preflight.json" in files:
-        preflight = json.loads((done.folder / "preflight.json").read_text(encoding="utf-8"))
+        preflight = json.loads((folder / "preflight.json").read_text(encoding="utf-8"))
         lines += ["", f"preflight: {preflight['status']}"]
-    return "\n".join([*lines, "", f"{done.folder}: {', '.join(files)}, manifest.json"])
+    return "\n".join([*lines, "", f"{folder}: {', '.join(files)}, manifest.json"])
 
 
 def _score_text(value: float | None) -> str:

@@ -25,7 +25,8 @@ class RunResult:
         renders: By renderer type, one picture per view, (R, R, C) float32, linear light.
         transports: One matrix per view if the plan has an encoder, else none.
         redesign: Designs another scene by the same plan and seed; returns it as ``scene`` and its ``unfinished`` mesh.
-        manifest: What ``manifest.json`` will say, but for timings and files; empty while analyses are computed.
+        manifest: What ``manifest.json`` will say, but for timings and files; empty while analyses are computed, and
+            ``metrics`` alone while they draw their figures.
     """
 
     given: Scene

@@ -38,6 +38,8 @@ class Stage(BaseModel, ABC):
         kind: The place in the pipeline, such as ``matcher``; set by the base class of the kind.
         type: The name that picks the stage in a spec, such as ``exhaustive``.
         version: Part of a run's identity; raise it when equal inputs give other results.
+        repeatable: Whether equal inputs give equal results, so that results are kept and used again. A stage that asks
+            a clock, a network or a person sets it to False; it is done in every run then.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
@@ -45,6 +47,16 @@ class Stage(BaseModel, ABC):
     kind: ClassVar[str]
     type: ClassVar[str]
     version: ClassVar[str] = "1"
+    repeatable: ClassVar[bool] = True
+
+    def surroundings(self) -> object:
+        """What results depend on besides options, inputs and code, such as a library that a machine may lack.
+
+        Returns:
+            Numbers and text, in lists and mappings if need be; results that were kept are used where it is the same.
+            It is asked for before every run, so it must be quick.
+        """
+        return None
 
 
 class Matcher(Stage):

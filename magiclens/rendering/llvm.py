@@ -8,11 +8,15 @@ import sys
 from collections.abc import Callable, Iterable
 from ctypes.util import find_library
 from functools import cache
+from pathlib import Path
 
 from magiclens.contract.errors import StageError
 
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
 """Environment variable that tells Dr.Jit, which compiles Mitsuba's variants, where its LLVM library is."""
+
+_CHOSEN_BY_USER = os.environ.get(LLVM_VARIABLE, "")
+"""What it says before ``usable_variant`` sets it."""
 
 PROBE = f"""
 import ctypes, os, sys
@@ -87,6 +91,13 @@ def installed_libraries() -> list[str]:
     names = [name for version in (19, 20, 18, 21, 22, 17) for name in _sonames(version)]
     generic = find_library("LLVM") or find_library("LLVM-C")
     return [*names, generic] if generic else names
+
+
+def library_files() -> list[str]:
+    """What the user has set, and the files of LLVM libraries in the usual folders: found at once, but not tried."""
+    folders = [Path(root) for root in ("/usr/lib", "/usr/lib64", "/usr/local/lib", "/opt/homebrew/opt/llvm/lib")]
+    found = {str(path) for folder in folders for pattern in ("libLLVM*", "*/libLLVM*") for path in folder.glob(pattern)}
+    return [_CHOSEN_BY_USER, *sorted(found)]
 
 
 def _sonames(version: int) -> tuple[str, str]:

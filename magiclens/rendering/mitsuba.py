@@ -48,6 +48,12 @@ class Mitsuba(Renderer):
             raise ValueError(f"must be a power of four; the nearest are {below} and {4 * below}")
         return samples
 
+    def surroundings(self) -> object:
+        """The LLVM libraries that are installed, since the variants of Mitsuba round differently."""
+        from magiclens.rendering.llvm import library_files
+
+        return None if self.variant == "scalar_rgb" else library_files()
+
     def render(self, scene: Scene, solid: Solid, progress: Progress = silent) -> list[FloatArray]:
         """One (resolution, resolution, C) float32 picture per view, in linear light."""
         import mitsuba as mi

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from markupsafe import Markup
+
 from magiclens.contract.result import RunResult
 from magiclens.drawing.figure import Figure
 from magiclens.drawing.photographs import Photograph
@@ -12,15 +14,20 @@ from magiclens.pages.templating import render_page
 from magiclens.report.tables import file_rows, headline_rows, lens_rows, metric_rows, option_rows, score_rows
 
 
+def figure_block(figure: Figure) -> str:
+    """The part of the page that shows a figure; everything that users wrote is escaped."""
+    return render_page("magiclens.report/figure.html", figure=figure)
+
+
 def report_page(
-    data: RunResult, folder: Path, figures: Sequence[Figure], photos: Mapping[str, Sequence[Photograph]]
+    data: RunResult, folder: Path, figures: Sequence[str], photos: Mapping[str, Sequence[Photograph]]
 ) -> str:
     """The HTML page of a run; everything that users wrote is escaped.
 
     Args:
         data: The run.
         folder: The run folder, which holds all other files already.
-        figures: Figures in the order of the page, the contact sheet first.
+        figures: Blocks of ``figure_block`` in the order of the page, the contact sheet first.
         photos: Photographs by renderer, one for each view.
     """
     manifest = data.manifest
@@ -29,7 +36,7 @@ def report_page(
         manifest=manifest,
         lens=data.scene.lens,
         views=len(data.scene.views),
-        figures=figures,
+        figures=[Markup(block) for block in figures],
         headlines=headline_rows(data, photos),
         renderers=list(photos),
         scores=score_rows(data.scene, photos),

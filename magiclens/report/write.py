@@ -2,33 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from magiclens.contract.result import RunResult
 from magiclens.drawing.figure import Figure
-from magiclens.drawing.photographs import photographs
+from magiclens.drawing.photographs import Photograph
 from magiclens.drawing.tiles import render_rows
-from magiclens.report.page import report_page
+from magiclens.report.page import figure_block, report_page
 
 if TYPE_CHECKING:
     from PIL.PngImagePlugin import PngInfo
 
 
-def write_report(result: RunResult, figures: Sequence[Figure], folder: Path) -> None:
-    """Write ``figures/*.png`` and ``report.html`` into a run folder; equal runs give equal bytes.
+def write_figure(figure: Figure, folder: Path) -> str:
+    """Write ``figures/<name>.png`` into a run folder; the figure as a block of the page."""
+    (folder / "figures").mkdir(exist_ok=True)
+    path = folder / "figures" / f"{figure.name}.png"
+    render_rows(figure.rows).save(path, "PNG", compress_level=4, pnginfo=_words(figure))
+    return figure_block(figure)
+
+
+def write_report(
+    result: RunResult, figures: Sequence[str], photos: Mapping[str, Sequence[Photograph]], folder: Path
+) -> None:
+    """Write ``report.html`` into a run folder; equal runs give equal bytes.
 
     Args:
         result: The run; its manifest is complete but for timings and files.
-        figures: What its analyses have drawn, in the order of the page.
+        figures: What ``write_figure`` returned, in the order of the page.
+        photos: Photographs by renderer, one for each view.
         folder: The run folder.
     """
-    for figure in figures:
-        (folder / "figures").mkdir(exist_ok=True)
-        path = folder / "figures" / f"{figure.name}.png"
-        render_rows(figure.rows).save(path, "PNG", compress_level=4, pnginfo=_words(figure))
-    (folder / "report.html").write_text(report_page(result, folder, figures, photographs(result)), encoding="utf-8")
+    (folder / "report.html").write_text(report_page(result, folder, figures, photos), encoding="utf-8")
 
 
 def _words(figure: Figure) -> PngInfo:

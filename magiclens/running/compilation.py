@@ -103,6 +103,10 @@ class _CompilationAhead(Observer):
         """Pass it on."""
         self._observer.finished(name, seconds)
 
+    def reused(self, name: str) -> None:
+        """Pass it on."""
+        self._observer.reused(name)
+
     def notice(self, text: str) -> None:
         """Pass it on."""
         self._observer.notice(text)

@@ -7,11 +7,12 @@ from functools import partial
 
 import numpy as np
 
-from magiclens.contract.artifacts import Assignment, Candidates, HeightField, Scene, Solid, Transport
+from magiclens.contract.artifacts import Assignment, Candidates, FloatArray, HeightField, Scene, Solid, Transport
 from magiclens.contract.checks import check_assignment, check_candidates, check_encoded, check_height_field
 from magiclens.contract.stages import KINDS
 from magiclens.plan.compile import Plan
-from magiclens.running.steps import Steps
+from magiclens.running.ingredients import Kept
+from magiclens.running.steps import Draws, Steps
 
 Generators = dict[str, np.random.Generator]
 """One random generator for each kind of stage."""
@@ -34,23 +35,24 @@ class Shape:
         height_field: What the integrator made of that.
     """
 
-    candidates: Candidates
-    assignment: Assignment
-    height_field: HeightField
+    candidates: Kept[Candidates]
+    assignment: Kept[Assignment]
+    height_field: Kept[HeightField]
 
 
 class Designer:
     """Designs lenses by one plan. Its generators go on from lens to lens, so the order of calls matters."""
 
-    def __init__(self, plan: Plan, steps: Steps):
-        self._plan, self._steps = plan, steps
-        self._rng = generators(plan.spec.seed)
+    def __init__(self, plan: Plan, steps: Steps, given: Kept[Scene]):
+        """``given`` is the scene with the sources of the spec."""
+        self._plan, self._steps, self._given = plan, steps, given
+        self._draws = {kind: Draws(rng) for kind, rng in generators(plan.spec.seed).items()}
 
-    def design(self, scene: Scene) -> tuple[Shape, Solid]:
+    def design(self, painted: Kept[Scene]) -> tuple[Shape, Kept[Solid]]:
         """Match, anneal, integrate, rematch and refine, then mesh.
 
         Args:
-            scene: The views as the medium shows them. A matcher that uses no pictures gets none.
+            painted: The scene with the sources to design for. A matcher that uses no pictures gets none.
 
         Returns:
             The shape, and its closed mesh before any finisher.
@@ -58,65 +60,91 @@ class Designer:
         from magiclens.geometry.solid import solid_from_heights
 
         plan, matcher = self._plan, self._plan.matcher.stage
-        # so no stage can depend on pictures by accident: a universal lens is the same whatever it will show
-        scene = scene if matcher.uses_pictures else blank_scene(scene)
-        match = partial(matcher.match, scene, self._rng["matcher"])
-        candidates = self._steps.stage(plan.matcher, match, partial(check_candidates, plan.lens))
+        scene = self.shown(painted)
+        if not matcher.uses_pictures:
+            # so no stage can depend on pictures by accident: a universal lens is the same whatever it will show
+            scene = self._steps.known(blank_scene(self._given.value))
+        check = partial(check_candidates, plan.lens)
+        candidates = self._steps.stage(plan.matcher, "match", {"scene": scene}, check, self._draws["matcher"])
         shape = self._build(scene, candidates)
         if plan.spec.pipeline.rematch:
             shape = self._rematch(scene, shape)
         if matcher.uses_pictures:
-            refine = partial(plan.integrator.stage.refine, scene, shape.height_field)
-            refined = self._steps.stage(plan.integrator, refine, partial(check_height_field, plan.lens))
+            inputs = {"scene": scene, "built": shape.height_field}
+            refined = self._steps.stage(plan.integrator, "refine", inputs, partial(check_height_field, plan.lens))
             shape = replace(shape, height_field=refined)
-        return shape, self._steps.part("meshing", partial(solid_from_heights, shape.height_field))
+        return shape, self._steps.derived("meshing", solid_from_heights, height_field=shape.height_field)
 
-    def transports(self, scene: Scene, solid: Solid) -> list[Transport]:
+    def shown(self, painted: Kept[Scene]) -> Kept[Scene]:
+        """The scene as the medium of the plan shows it."""
+        medium = self._plan.spec.medium
+        if medium is None:
+            return painted
+        how = self._steps.known(medium.model_dump(mode="json"))
+        show = lambda scene, _: self._plan.on_medium(scene)  # noqa: E731
+        return self._steps.derived("medium", show, shown=False, scene=painted, medium=how)
+
+    def transports(self, solid: Kept[Solid]) -> Kept[list[Transport]]:
         """One matrix per view, traced; none if the plan has no encoder, which alone needs them."""
         from magiclens.rendering.transports import transports
 
-        return self._steps.part("tracing", partial(transports, scene, solid)) if self._plan.encoder else []
+        if self._plan.encoder is None:
+            return self._steps.known([])
+        return self._steps.derived("tracing", transports, scene=self._given, solid=solid)
 
-    def encode(self, given: Scene, transports: list[Transport]) -> Scene:
+    def encode(self, transports: Kept[list[Transport]]) -> Kept[Scene]:
         """The scene with sources painted for a traced lens, or as given if the plan has no encoder.
 
+        Painting always starts from the sources of the spec, even in later rounds.
+
         Args:
-            given: The scene with the sources of the spec. Painting always starts from these, even in later rounds.
             transports: One matrix per view, see ``transports``.
         """
         step = self._plan.encoder
         if step is None:
-            return given
-        encode = partial(step.stage.encode, given, transports, self._rng["encoder"])
-        painted: Scene = self._steps.stage(step, encode, partial(check_encoded, given))
-        return painted
+            return self._given
+        inputs = {"scene": self._given, "transports": transports}
+        check = lambda found: check_encoded(self._given.value, found)  # noqa: E731
+        return self._steps.stage(step, "encode", inputs, check, self._draws["encoder"])
 
-    def _build(self, scene: Scene, candidates: Candidates) -> Shape:
+    def _build(self, scene: Kept[Scene], candidates: Kept[Candidates]) -> Shape:
         """Choose among candidates and build what was chosen."""
         plan = self._plan
-        anneal = partial(plan.annealer.stage.anneal, scene, candidates, self._rng["annealer"])
-        assignment = self._steps.stage(plan.annealer, anneal, partial(check_assignment, plan.lens, candidates))
-        integrate = partial(plan.integrator.stage.integrate, scene, assignment)
-        built = self._steps.stage(plan.integrator, integrate, partial(check_height_field, plan.lens))
+        inputs = {"scene": scene, "candidates": candidates}
+        check = lambda found: check_assignment(plan.lens, candidates.value, found)  # noqa: E731
+        assignment = self._steps.stage(plan.annealer, "anneal", inputs, check, self._draws["annealer"])
+        chosen = {"scene": scene, "assignment": assignment}
+        built = self._steps.stage(plan.integrator, "integrate", chosen, partial(check_height_field, plan.lens))
         return Shape(candidates, assignment, built)
 
-    def _rematch(self, scene: Scene, best: Shape) -> Shape:
+    def _rematch(self, scene: Kept[Scene], best: Shape) -> Shape:
         """Rounds of rematching, annealing and integration while the traced error falls (4.6, last paragraph)."""
-        from magiclens.rendering.facet_errors import facet_errors
-
         plan, steps = self._plan, self._steps
-        errors = steps.part("tracing", partial(facet_errors, scene, best.height_field))
+        errors = self._errors(scene, best)
         for _ in range(plan.spec.pipeline.rematch):
-            rematch = partial(
-                plan.matcher.stage.rematch, scene, best.candidates, best.assignment, best.height_field, errors
-            )
-            trial = self._build(scene, steps.stage(plan.matcher, rematch, partial(check_candidates, plan.lens)))
-            trial_errors = steps.part("tracing", partial(facet_errors, scene, trial.height_field))
+            inputs = {
+                "scene": scene, "candidates": best.candidates, "assignment": best.assignment,
+                "built": best.height_field, "traced": errors,
+            }  # fmt: skip
+            candidates = steps.stage(plan.matcher, "rematch", inputs, partial(check_candidates, plan.lens))
+            trial = self._build(scene, candidates)
+            trial_errors = self._errors(scene, trial)
             # a round that helps nothing is thrown away; further ones would start from the same lens and the same errors
-            if trial_errors.mean() >= errors.mean():
+            if not steps.holds(partial(_less, trial_errors, errors)):
                 break
             best, errors = trial, trial_errors
         return best
+
+    def _errors(self, scene: Kept[Scene], shape: Shape) -> Kept[FloatArray]:
+        """The traced error of every facet: (N, N)."""
+        from magiclens.rendering.facet_errors import facet_errors
+
+        return self._steps.measured("tracing", facet_errors, scene=scene, height_field=shape.height_field)
+
+
+def _less(errors: Kept[FloatArray], others: Kept[FloatArray]) -> bool:
+    """Whether errors are smaller on average than others."""
+    return bool(errors.value.mean() < others.value.mean())
 
 
 def blank_scene(scene: Scene) -> Scene:

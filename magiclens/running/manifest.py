@@ -93,7 +93,8 @@ def write_manifest(folder: Path, manifest: Mapping[str, Any], seconds: Mapping[s
     Returns:
         The manifest as written.
     """
-    stages = [{**stage, "seconds": round(seconds[_name(stage)], 3)} for stage in manifest["stages"]]
+    # a stage whose result was in the cache has taken no time
+    stages = [{**stage, "seconds": round(seconds.get(_name(stage), 0.0), 3)} for stage in manifest["stages"]]
     whole = {**manifest, "stages": stages, "artifacts": _files(folder), "seconds": round(seconds["total"], 3)}
     _write(folder, whole)
     return whole

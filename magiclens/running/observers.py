@@ -25,6 +25,9 @@ class Observer:
     def finished(self, name: str, seconds: float) -> None:
         """A piece of work has succeeded."""
 
+    def reused(self, name: str) -> None:
+        """A piece of work need not be done: its result is in the cache."""
+
     def notice(self, text: str) -> None:
         """The user should know this, although the run goes on."""
         print(f"note: {text}", file=sys.stderr)
@@ -48,6 +51,10 @@ class LineObserver(Observer):
         """Print name, seconds and rate."""
         line = f"{name:28}{seconds:8.2f} s  {_rate(self._facets, seconds)}"
         print(line.rstrip(), file=self._stream, flush=True)  # so that a log tells at once how far a run is
+
+    def reused(self, name: str) -> None:
+        """Print the name, and where the result comes from."""
+        print(f"{name:28}    kept", file=self._stream, flush=True)
 
 
 class BarObserver(Observer):
@@ -86,6 +93,11 @@ class BarObserver(Observer):
         """Fill the bar."""
         if self._task is not None:
             self._bars.update(self._task, total=1.0, completed=1.0, rate=_rate(self._facets, seconds))
+
+    def reused(self, name: str) -> None:
+        """Add a full bar."""
+        self._bars.start()
+        self._bars.add_task(name, total=1, completed=1, rate="kept")
 
     def notice(self, text: str) -> None:
         """Print the text above the bars."""

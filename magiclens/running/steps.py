@@ -1,33 +1,77 @@
-"""Does the steps of a run one after the other: times them, reports progress, checks artifacts, names who fails."""
+"""Does the steps of a run one after the other: times them, reports progress, checks artifacts, names who fails.
+
+What an earlier run has kept is not done again; see ``magiclens.cache``.
+"""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from time import perf_counter
 from typing import Any, TypeVar
 
-from magiclens.contract.checks import BadArtifact
-from magiclens.contract.stages import Progress
+import numpy as np
+
+from magiclens.cache.store import Cache, Damaged, new_entry
+from magiclens.cache.values import NotPlain, borrows, settled
+from magiclens.contract.artifacts import Scene, Solid
+from magiclens.contract.checks import BadArtifact, check_file
+from magiclens.contract.stages import Exporter, Progress
 from magiclens.plan.blame import Blamed, blaming
 from magiclens.plan.compile import Plan, Step
+from magiclens.running.ingredients import (
+    Kept,
+    MadeOf,
+    generator_in,
+    generator_state,
+    key_of,
+    known,
+    of_pipeline,
+    of_stage,
+)
 from magiclens.running.observers import Observer
 from magiclens.running.termination import raise_if_terminated
 
-T = TypeVar("T")
+_T = TypeVar("_T")
+
+
+@dataclass
+class Draws:
+    """The random numbers of one kind of stage, which go on from call to call, past results that are kept as well.
+
+    Attributes:
+        rng: The generator in its present state.
+    """
+
+    rng: np.random.Generator
 
 
 class Steps:
-    """Does one step after the other, for one plan and one observer."""
+    """Does one step after the other, for one plan, one observer and one cache."""
 
-    def __init__(self, plan: Plan, observer: Observer):
+    def __init__(self, plan: Plan, observer: Observer, cache: Cache | None = None):
+        """Without a cache everything is done, and nothing kept."""
+        self.cache = cache
         self._registry, self._observer = plan.registry, observer
         self._facets = plan.lens.facets**2
         self._began = perf_counter()
         self._seconds: defaultdict[str, float] = defaultdict(float)
 
-    def part(self, name: str, work: Callable[[], T], facets: int = 0) -> T:
+    def known(self, value: _T) -> Kept[_T]:
+        """A value that is there already, such as the scene of the spec."""
+        return known(value) if self.cache else Kept(None, lambda: value)
+
+    def made_of(
+        self, name: str, inputs: Mapping[str, Any], things: Iterable[Any] = (), packages: Iterable[str] = ()
+    ) -> MadeOf | None:
+        """What the result of a step of the pipeline is made of, see ``of_pipeline``; None without a cache."""
+        return of_pipeline(name, inputs, things, packages) if self.cache else None
+
+    def part(self, name: str, work: Callable[[], _T], facets: int = 0) -> _T:
         """A step of the pipeline itself, such as meshing.
 
         Args:
@@ -45,23 +89,101 @@ class Steps:
         self._observer.finished(name, seconds)
         return result
 
-    def stage(self, step: Step[Any], work: Callable[[Progress], T], check: Callable[[T], None]) -> T:
+    def derived(self, name: str, work: Callable[..., _T], shown: bool = True, **inputs: Kept[Any]) -> Kept[_T]:
+        """What follows from results so quickly that it is not kept, but made when it is asked for.
+
+        Args:
+            name: The step's name.
+            work: Is given the inputs' values, in their order.
+            shown: Whether it is a ``part`` that observers are told of.
+            inputs: What it is made from.
+        """
+
+        def make() -> _T:
+            call = partial(work, *(each.value for each in inputs.values()))
+            return self.part(name, call) if shown else call()
+
+        return Kept(self.made_of(name, inputs), make)
+
+    def measured(self, name: str, work: Callable[..., _T], **inputs: Kept[Any]) -> Kept[_T]:
+        """A small result of a ``part`` that takes long, so that it is kept; arguments are those of ``derived``."""
+        made_of = self.made_of(name, inputs)
+        return self._made(name, made_of, inputs, lambda _, *values: self.part(name, partial(work, *values)))
+
+    def stage(
+        self,
+        step: Step[Any],
+        method: str,
+        inputs: Mapping[str, Kept[Any]],
+        check: Callable[..., None],
+        draws: Draws | None = None,
+    ) -> Kept[Any]:
         """A step that a stage does; its artifact is checked against the contract, and observing hooks are called.
+
+        If the artifact is in the cache, the stage is not called, and observing hooks are not either.
 
         Args:
             step: The stage and its plugin.
-            work: Calls the stage; is given the function that it tells its progress.
+            method: The name of its method.
+            inputs: The method's arguments before ``rng`` and ``progress``, by name and in their order.
             check: Checks what the stage returns; raises BadArtifact.
+            draws: The random numbers that the method is given; None for one that has no ``rng``.
 
         Raises:
             StageError: The stage failed or broke its contract; the message names it.
         """
-        before = self._seconds[step.name]
-        artifact = self.part(step.name, partial(self._guarded, step, work, check), self._facets)
-        # a stage may run several times, and its seconds add up; hooks are told those of this time
-        seconds = self._seconds[step.name] - before
-        self.tell("mlens_stage_done", stage=step.stage, artifact=artifact, seconds=seconds)
-        return artifact
+
+        def work(rng: np.random.Generator | None, *values: Any) -> Any:
+            call = partial(getattr(step.stage, method), *values, *([] if rng is None else [rng]))
+            return self._done(step, call, check)
+
+        state = generator_state(draws.rng) if draws else None
+        made_of = of_stage(step, method, inputs, state) if self.cache else None
+        return self._made(step.name, made_of, inputs, work, draws)
+
+    def export(self, step: Step[Exporter], scene: Kept[Scene], solid: Kept[Solid], folder: Path) -> None:
+        """A step that an exporter does: it writes files into a run folder. Raises as ``stage``."""
+        path = folder / f"lens{step.stage.suffix}"
+
+        def export() -> None:
+            given = scene.value, solid.value  # before the step begins: they may have to be made themselves
+
+            def write(_: Progress) -> Path:
+                step.stage.export(*given, path)
+                return path
+
+            self._done(step, write, check_file)
+
+        made_of = of_stage(step, "export", {"scene": scene, "solid": solid}, None) if self.cache else None
+        self.files(step.name, made_of, folder, export)
+
+    def files(self, name: str, made_of: MadeOf | None, folder: Path, work: Callable[[], _T], shown: bool = True) -> _T:
+        """A step that writes new files into a run folder, or gets them from the cache.
+
+        Args:
+            name: The step's name.
+            made_of: What the files depend on; None if they must not be kept.
+            folder: The run folder.
+            work: Writes them, and may return JSON data that is kept with them.
+            shown: Whether observers are told if the files come from the cache.
+
+        Returns:
+            What ``work`` has returned, now or when the files were kept.
+        """
+        cache = self.cache
+        if cache is None or made_of is None:
+            return work()
+        entry = cache.find(key_of(made_of))
+        if entry and cache.restore(entry, folder):
+            if shown:
+                self._observer.reused(name)
+            facts: _T = entry.facts
+            return facts
+        before, began = set(files_in(folder)), perf_counter()
+        facts = work()
+        written = [path for path in files_in(folder) if path not in before]
+        cache.keep(new_entry(name, made_of, perf_counter() - began, facts, written), folder=folder)
+        return facts
 
     def tell(self, hook: str, **facts: Any) -> None:
         """Call an observing hook of all plugins; the observer gets a notice of those that fail."""
@@ -72,7 +194,58 @@ class Steps:
         """Seconds by name, and in total; those of steps that were repeated are added up."""
         return {**self._seconds, "total": perf_counter() - self._began}
 
-    def _guarded(self, step: Step[Any], work: Callable[[Progress], T], check: Callable[[T], None]) -> T:
+    def holds(self, question: Callable[[], bool]) -> bool:
+        """The answer to a question about results, on which it depends which steps follow."""
+        return question()
+
+    def _made(
+        self,
+        name: str,
+        made_of: MadeOf | None,
+        inputs: Mapping[str, Kept[Any]],
+        work: Callable[..., Any],
+        draws: Draws | None = None,
+    ) -> Kept[Any]:
+        """A result from the cache, or made now. ``work`` is given a generator or None, and the inputs' values."""
+        cache, key = self.cache, made_of and key_of(made_of)
+
+        def make(rng: np.random.Generator | None) -> Any:
+            values = [each.value for each in inputs.values()]  # first: they may have to be made themselves
+            began = perf_counter()
+            result = settled(work(rng, *values))
+            if cache and made_of:
+                entry = new_entry(name, made_of, perf_counter() - began, rng=generator_state(rng) if rng else None)
+                with suppress(NotPlain):  # a plugin's artifact of a class of its own is made every time
+                    cache.keep(entry, result, values)
+            return result
+
+        entry = cache.find(key) if cache and key else None
+        if cache is None or entry is None:
+            result = make(draws.rng if draws else None)
+            return Kept(key, lambda: result) if key else self.known(result)
+        before = draws.rng if draws else None
+        if draws and entry.rng:
+            draws.rng = generator_in(entry.rng)  # the next call draws what it would have drawn
+        self._observer.reused(name)
+
+        def get() -> Any:
+            try:
+                return cache.value(entry, [each.value for each in inputs.values()] if borrows(entry.value) else [])
+            except Damaged:
+                return make(before)
+
+        return Kept(key, get)
+
+    def _done(self, step: Step[Any], work: Callable[[Progress], _T], check: Callable[[_T], None]) -> _T:
+        """Let a stage work, check its artifact, and tell hooks."""
+        before = self._seconds[step.name]
+        artifact = self.part(step.name, partial(self._guarded, step, work, check), self._facets)
+        # a stage may run several times, and its seconds add up; hooks are told those of this time
+        seconds = self._seconds[step.name] - before
+        self.tell("mlens_stage_done", stage=step.stage, artifact=artifact, seconds=seconds)
+        return artifact
+
+    def _guarded(self, step: Step[Any], work: Callable[[Progress], _T], check: Callable[[_T], None]) -> _T:
         with blaming(str(step)):
             artifact = work(partial(self._observer.progressed, step.name))
             try:
@@ -87,3 +260,8 @@ class QuietSteps(Steps):
 
     def tell(self, hook: str, **facts: Any) -> None:
         """Call no hook."""
+
+
+def files_in(folder: Path) -> Iterator[str]:
+    """Paths of all files below a folder, relative to it."""
+    return (path.relative_to(folder).as_posix() for path in sorted(folder.rglob("*")) if path.is_file())

@@ -37,9 +37,13 @@ class Shot(Viewpoint):
 
 
 class Scenario(SpecModel, ABC):
-    """Base of all scenarios. Its fields are keys of the spec, ``type`` is the name by which a spec chooses it."""
+    """Base of all scenarios. Its fields are keys of the spec, ``type`` is the name by which a spec chooses it.
+
+    ``repeatable`` is False for one whose pictures differ from time to time, as for stages.
+    """
 
     type: ClassVar[str]
+    repeatable: ClassVar[bool] = True
 
     @property
     def frames_per_second(self) -> float | None:

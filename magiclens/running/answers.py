@@ -1,0 +1,135 @@
+"""What is found out about a finished lens: analyses, their figures, and preflight."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from magiclens.analysis.base import Findings
+from magiclens.contract.checks import BadArtifact
+from magiclens.contract.result import RunResult
+from magiclens.drawing.figure import Figure
+from magiclens.plan.blame import blaming
+from magiclens.plan.compile import Plan, PlannedAnalysis
+from magiclens.running.ingredients import Kept, MadeOf, asked_of, file_hash, whole_registry
+from magiclens.running.making import Drafts
+from magiclens.running.steps import Steps
+from magiclens.running.writing import write_figure_pictures
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What an analysis has found.
+
+    Attributes:
+        planned: The analysis.
+        metrics: Numbers for the manifest.
+        findings: All that it has found. If only numbers and files were kept, it is computed again to draw figures.
+    """
+
+    planned: PlannedAnalysis
+    metrics: dict[str, float]
+    findings: Kept[Findings | None]
+
+
+class Questions:
+    """Asks about the lens of one run. Answers, figures and preflight do not depend on the plan's exporters."""
+
+    def __init__(self, plan: Plan, drafts: Drafts, folder: Path, steps: Steps):
+        self._plan, self._drafts, self._folder, self._steps = plan, drafts, folder, steps
+        # analyses ask of the lens, not of its files: so no analysis depends on exporters by accident
+        self._shown_plan = replace(plan, exporters=())
+        self._asked = asked_of(plan) if steps.cache else {}
+
+    def analyse(self, result: RunResult | None) -> list[Answer]:
+        """Let all analyses of the plan answer, in their order; pictures that they find are written.
+
+        Args:
+            result: The run; None if answers are only looked up.
+        """
+        answers = (self._answer(planned, result) for planned in self._plan.analyses)
+        return [answer for answer in answers if answer]
+
+    def draw(self, answers: Sequence[Answer], result: RunResult) -> list[str]:
+        """Draw the figures of answers, and write them.
+
+        Args:
+            answers: What the analyses have found.
+            result: Its manifest has the metrics, and nothing else that figures could depend on.
+
+        Returns:
+            The figures as blocks of the report's page, in order.
+        """
+        return [block for answer in answers for block in self._blocks(answer, result)]
+
+    def preflight(self, facts: dict[str, Any]) -> None:
+        """Check what was exported, if it is a mesh, and write the preflight's page.
+
+        Args:
+            facts: The manifest as ``build_manifest`` returns it.
+        """
+        from magiclens.preflight.mesh_file import mesh_files
+
+        meshes = mesh_files(self._folder)
+        if not meshes:
+            return
+
+        def write() -> None:
+            from magiclens.preflight.checks import run_preflight
+            from magiclens.preflight.page import write_preflight
+
+            solid = self._drafts.solid.value
+            write_preflight(run_preflight(self._folder, facts, self._plan, solid), self._folder)
+
+        seen = {name: facts[name] for name in ("name", "metrics", "views")}
+        hashes = {path.name: file_hash(path) for path in meshes} if self._steps.cache else {}
+        made_of = self._made_of("preflight", facts=seen, meshes=hashes)
+        self._steps.files("preflight", made_of, self._folder, partial(self._steps.part, "preflight", write))
+
+    def _answer(self, planned: PlannedAnalysis, result: RunResult | None) -> Answer | None:
+        findings = Kept(None, partial(self._findings, planned, result))
+
+        def compute() -> dict[str, float] | None:
+            found = self._steps.part(planned.name, lambda: findings.value)
+            if found is None:
+                return None
+            write_figure_pictures(found.pictures, self._folder)
+            return {name: float(value) for name, value in found.metrics.items()}
+
+        made_of = self._made_of_answer(f"analysis {planned.name}", planned)
+        metrics = self._steps.files(planned.name, made_of, self._folder, compute)
+        return None if metrics is None else Answer(planned, metrics, findings)
+
+    def _findings(self, planned: PlannedAnalysis, result: RunResult | None) -> Findings | None:
+        assert result is not None
+        with blaming(str(planned)):
+            findings = planned.analysis.compute(self._shown_plan, result)
+            if findings is not None and not isinstance(findings, Findings):
+                raise BadArtifact(f"it found a {type(findings).__name__} instead of Findings")
+            return findings
+
+    def _blocks(self, answer: Answer, result: RunResult) -> list[str]:
+        from magiclens.report.write import write_figure
+
+        def draw() -> list[str]:
+            return [write_figure(figure, self._folder) for figure in self._figures(answer, result)]
+
+        name = f"figures of {answer.planned.name}"
+        made_of = self._made_of_answer(name, answer.planned, metrics=dict(result.manifest["metrics"]))
+        return self._steps.files(name, made_of, self._folder, draw, shown=False)
+
+    def _figures(self, answer: Answer, result: RunResult) -> list[Figure]:
+        findings = answer.findings.value
+        with blaming(str(answer.planned)):
+            return list(answer.planned.analysis.figures(result, findings))
+
+    def _made_of_answer(self, name: str, planned: PlannedAnalysis, **more: Any) -> MadeOf | None:
+        return self._made_of(name, **more) if getattr(planned.analysis, "repeatable", True) else None
+
+    def _made_of(self, name: str, **more: Any) -> MadeOf | None:
+        """What a step is made of that sees the plan and all that was made by it."""
+        things, packages = whole_registry(self._plan.registry)
+        return self._steps.made_of(name, {"plan": self._asked, **self._drafts.each, **more}, things, packages)
