@@ -46,8 +46,8 @@ def no_figures(result: RunResult, findings: Findings) -> list[Figure]:
 class Analysis:
     """One question about a finished lens. Analyses are pure; the run writes what they find.
 
-    They ask of the lens, not of its files: the plan that ``compute`` is given has no exporters, and the manifest that
-    ``figures`` is given has ``metrics`` alone.
+    They ask of the lens, not of its files: the plan that ``compute`` is given has neither exporters nor the name of the
+    spec, and the manifest that ``figures`` is given has ``metrics`` alone.
 
     Attributes:
         name: What ``report.analyses`` of a spec calls it, in lower case with hyphens.

@@ -56,13 +56,13 @@ def required_versions(distribution: str) -> dict[str, str]:
 @cache
 def processor() -> str:
     """The kind of processor, since code compiled for another one may round otherwise."""
-    known = [platform.system(), platform.machine(), platform.processor()]
+    known = [platform.system(), platform.machine()]
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
         lines = []
-    for key in ("model name", "flags", "Features"):
-        known += [next((line for line in lines if line.startswith(key)), "")]
+    for key in ("model name", "flags", "Features"):  # the first of many equal cores; x86 has flags, ARM features
+        known.append(next((line for line in lines if line.startswith(key)), ""))
     return hashlib.sha256("\n".join(known).encode()).hexdigest()[:16]
 
 

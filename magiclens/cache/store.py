@@ -16,8 +16,6 @@ import json
 import os
 import shutil
 import time
-import zipfile
-import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -40,12 +38,10 @@ _ABANDONED_S = 86400
 _HEADER = "header"
 """Name of the array of an entry that holds its JSON."""
 _BLOCK = 1 << 20
-_BROKEN = (ValueError, KeyError, TypeError, IndexError, EOFError, zipfile.BadZipFile, zlib.error, UnicodeDecodeError)
-"""What readers raise for damaged files."""
 
 
 class Damaged(Exception):
-    """A result that is not as it was written."""
+    """A result that is not as it was written, or not there any more."""
 
 
 @dataclass(frozen=True)
@@ -114,12 +110,11 @@ class Cache:
         """The entry of a key, without its arrays; None if there is none. It counts as used now."""
         path = self._entry_path(key)
         try:
-            with np.load(path) as stored:
-                entry = Entry(**json.loads(stored[_HEADER].tobytes()))
+            entry = _header(path)
         except OSError:
             return None
-        except _BROKEN:
-            self._drop(path, "an entry")
+        except Exception:  # readers of damaged files raise anything
+            self._drop(path, "a result")
             return None
         _use(path)
         return entry
@@ -134,16 +129,7 @@ class Cache:
         Raises:
             Damaged: It cannot be read, or is not as it was written. It is removed then, and said aloud.
         """
-        path = self._entry_path(entry.key)
-        try:
-            with np.load(path) as stored:
-                arrays = {name: stored[name] for name in stored.files if name != _HEADER}
-            if _content(entry, arrays) != entry.content:
-                raise ValueError("its hash is another one")
-            return unpacked(entry.value, arrays, inputs)
-        except (OSError, *_BROKEN) as error:
-            self._drop(path, f"the result of {entry.step}")
-            raise Damaged(entry.step) from error
+        return unpacked(entry.value, self._checked_arrays(entry), inputs)
 
     def has_files(self, entry: Entry) -> bool:
         """Whether all files of an entry are there; their content is not looked at."""
@@ -151,20 +137,19 @@ class Cache:
 
     def restore(self, entry: Entry, folder: Path) -> bool:
         """Copy the files of an entry into a run folder; False, and none of them there, if one is missing or damaged."""
-        done: list[Path] = []
-        for name, wanted in entry.files.items():
+        if not self.has_files(entry):  # some have been removed to make room
+            return False
+        for done, (name, wanted) in enumerate(entry.files.items(), 1):
             kept, path = self._file_path(wanted), folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
-            done.append(path)
             try:
                 found = _copy(kept, path)
-            except OSError:  # it has been removed to make room
+            except OSError:  # another process has just made room, or the disk is full, which the step will say
                 found = ""
             if found and found != wanted:
-                self._drop(kept, f"{Path(name).name} of {entry.step}")
+                self._drop(kept, f"{path.name} of {entry.step}")
             if found != wanted:
-                for copy in done:
-                    copy.unlink(missing_ok=True)
+                _remove(folder, list(entry.files)[:done])
                 return False
             _use(kept)
         return True
@@ -191,8 +176,8 @@ class Cache:
     def entries(self) -> Iterator[Entry]:
         """All entries that can be read, those used last first."""
         for kept in reversed(self._kept(_ENTRIES)):
-            with suppress(OSError, *_BROKEN), np.load(kept.path) as stored:
-                yield Entry(**json.loads(stored[_HEADER].tobytes()))
+            with suppress(Exception):
+                yield _header(kept.path)
 
     def used(self, key: str) -> KeptFile | None:
         """The file of an entry; None if it has been removed since."""
@@ -211,7 +196,7 @@ class Cache:
                 entry = self.find(kept.path.stem)
                 if entry:
                     with suppress(Damaged):
-                        self._check(entry)
+                        self._checked_arrays(entry)
             for kept in self._kept(_FILES):
                 with suppress(OSError):
                     if _hash(kept.path) != kept.path.name:
@@ -239,36 +224,37 @@ class Cache:
         return gone
 
     def tidy(self) -> None:
-        """Make room if something has been kept since the last time."""
+        """Make room if something has been kept."""
         if self._grown:
-            self._grown = False
             self.make_room()
 
-    def _check(self, entry: Entry) -> None:
-        """Read an entry's arrays, whatever it was made from. Raises Damaged."""
+    def _checked_arrays(self, entry: Entry) -> dict[str, NDArray[Any]]:
+        """The arrays of an entry. Raises Damaged as ``value``."""
         path = self._entry_path(entry.key)
         try:
             with np.load(path) as stored:
                 arrays = {name: stored[name] for name in stored.files if name != _HEADER}
             if _content(entry, arrays) == entry.content:
-                return
-        except (OSError, *_BROKEN):
+                return arrays
+        except OSError as error:
+            raise Damaged(entry.step) from error
+        except Exception:  # readers of damaged files raise anything
             pass
         self._drop(path, f"the result of {entry.step}")
         raise Damaged(entry.step)
 
     def _drop(self, path: Path, what: str) -> None:
-        self._say(f"{what} in the cache is damaged, and is made again: {path.name[:12]}")
+        self._say(f"{what} in the cache is damaged and will be made again: {path.name[:12]}")
         with suppress(OSError):
             path.unlink()
 
     def _keep_file(self, path: Path) -> str:
-        """Keep a copy of a file unless there is one; its hash."""
+        """Keep a copy of a file unless there is a sound one; its hash."""
         found = _hash(path)
         kept = self._file_path(found)
-        try:
-            os.utime(kept)
-        except OSError:
+        if kept.is_file() and _hash(kept) == found:
+            _use(kept)
+        else:
             with self._replacing(kept) as partly:
                 shutil.copyfile(path, partly)
         return found
@@ -321,6 +307,21 @@ def _use(path: Path) -> None:
     """Let a file count as used now; a folder that is read-only does not tell."""
     with suppress(OSError):
         os.utime(path)
+
+
+def _header(path: Path) -> Entry:
+    """An entry without its arrays. Raises OSError if it cannot be read, anything else if it is damaged."""
+    with np.load(path) as stored:
+        return Entry(**json.loads(stored[_HEADER].tobytes()))
+
+
+def _remove(folder: Path, names: Iterable[str]) -> None:
+    """Remove files, and folders that are empty then."""
+    for name in names:
+        (folder / name).unlink(missing_ok=True)
+        for above in list((folder / name).relative_to(folder).parents)[:-1]:
+            with suppress(OSError):
+                (folder / above).rmdir()
 
 
 def _kept_file(path: Path) -> KeptFile | None:

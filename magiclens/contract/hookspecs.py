@@ -60,7 +60,7 @@ def mlens_analyses() -> Sequence[Any]:  # type: ignore[empty-body]
 
 @hookspec
 def mlens_stage_done(stage: Stage, artifact: Any, seconds: float) -> None:
-    """Observe a stage that is done.
+    """Observe a stage that is done. One whose result is in the cache is not done, and nobody is told of it.
 
     Args:
         stage: The stage with its options.

@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from magiclens.analysis.base import Findings
+from magiclens.config.model import ReportSpec
 from magiclens.contract.checks import BadArtifact
 from magiclens.contract.result import RunResult
 from magiclens.drawing.figure import Figure
 from magiclens.plan.blame import blaming
 from magiclens.plan.compile import Plan, PlannedAnalysis
-from magiclens.running.ingredients import Kept, MadeOf, asked_of, file_hash, whole_registry
+from magiclens.running.ingredients import HashedInputs, Kept, MadeOf, file_hash, whole_registry
 from magiclens.running.making import Drafts
 from magiclens.running.steps import Steps
 from magiclens.running.writing import write_figure_pictures
@@ -36,13 +37,12 @@ class Answer:
 
 
 class Questions:
-    """Asks about the lens of one run. Answers, figures and preflight do not depend on the plan's exporters."""
+    """Asks about the lens of one run."""
 
     def __init__(self, plan: Plan, drafts: Drafts, folder: Path, steps: Steps):
         self._plan, self._drafts, self._folder, self._steps = plan, drafts, folder, steps
-        # analyses ask of the lens, not of its files: so no analysis depends on exporters by accident
-        self._shown_plan = replace(plan, exporters=())
-        self._asked = asked_of(plan) if steps.cache else {}
+        self._shown_plan = _without_files(plan)
+        self._described_plan = self._shown_plan.resolved(HashedInputs()) if steps.cache else {}
 
     def analyse(self, result: RunResult | None) -> list[Answer]:
         """Let all analyses of the plan answer, in their order; pictures that they find are written.
@@ -82,7 +82,7 @@ class Questions:
             from magiclens.preflight.page import write_preflight
 
             solid = self._drafts.solid.value
-            write_preflight(run_preflight(self._folder, facts, self._plan, solid), self._folder)
+            write_preflight(run_preflight(self._folder, facts, self._shown_plan, solid), self._folder)
 
         seen = {name: facts[name] for name in ("name", "metrics", "views")}
         hashes = {path.name: file_hash(path) for path in meshes} if self._steps.cache else {}
@@ -132,4 +132,15 @@ class Questions:
     def _made_of(self, name: str, **more: Any) -> MadeOf | None:
         """What a step is made of that sees the plan and all that was made by it."""
         things, packages = whole_registry(self._plan.registry)
-        return self._steps.made_of(name, {"plan": self._asked, **self._drafts.each, **more}, things, packages)
+        return self._steps.made_of(name, {"plan": self._described_plan, **self._drafts.each, **more}, things, packages)
+
+
+def _without_files(plan: Plan) -> Plan:
+    """The plan as analyses see it, without what is no property of the lens: its name, its files, what else is asked.
+
+    So no analysis can depend on these by accident, and what was found is right for every plan that differs in nothing
+    else.
+    """
+    pipeline = plan.spec.pipeline.model_copy(update={"exporters": []})
+    spec = plan.spec.model_copy(update={"name": "lens", "pipeline": pipeline, "report": ReportSpec()})
+    return replace(plan, spec=spec, exporters=())

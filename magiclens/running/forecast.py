@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar, cast
 
@@ -77,6 +77,11 @@ class _Forecast(Steps):
         super().__init__(plan, Observer(), cache)
         self.expected: list[Expected] = []
 
+    @cached_property
+    def _entries(self) -> list[Entry]:
+        """All results that are kept, those used last first."""
+        return list(self.cache.entries()) if self.cache else []
+
     def files(self, name: str, made_of: MadeOf | None, folder: Path, work: Callable[[], _T], shown: bool = True) -> _T:
         """Look up whether the files are there."""
         if shown:
@@ -112,7 +117,7 @@ class _Forecast(Steps):
         assert self.cache is not None
         entry = self.cache.find(key_of(made_of))
         there = entry is not None and self.cache.has_files(entry)
-        why = () if there else tuple(_reasons(made_of, self.cache.entries()))
+        why = () if there else tuple(_reasons(made_of, self._entries))
         self.expected.append(Expected(name, there, why))
         return entry if there else None
 

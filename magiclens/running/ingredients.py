@@ -143,12 +143,6 @@ def whole_registry(registry: Registry) -> tuple[list[Any], set[str]]:
     return [each.value for each in contributed], {each.plugin.package for each in contributed}
 
 
-def asked_of(plan: Plan) -> MadeOf:
-    """What analyses and preflight see of a plan, as JSON data: everything but the exporters."""
-    resolved = plan.resolved(HashedInputs())
-    return {**resolved, "pipeline": {key: each for key, each in resolved["pipeline"].items() if key != "exporters"}}
-
-
 def key_of(made_of: MadeOf) -> str:
     """The key of a result."""
     return digest_of(made_of)

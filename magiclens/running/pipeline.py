@@ -141,6 +141,8 @@ def run_plan(plan: Plan, out_dir: str | Path, observer: Observer | None = None, 
         # only now, when the folder is in its place: observers may read it
         steps.tell("mlens_run_done", folder=out, manifest=whole)
     finally:
+        if cache:
+            cache.tidy()
         observer.stopped()
     return Run(out, whole, result)
 
@@ -192,7 +194,6 @@ def _keep_run(plan: Plan, facts: Mapping[str, Any], whole: Mapping[str, Any], fo
     if made_of:
         files = [artifact["path"] for artifact in whole["artifacts"]]
         cache.keep(new_entry("run", made_of, whole["seconds"], facts, files), folder=folder)
-    cache.tidy()
 
 
 def _make(plan: Plan, folder: Path, steps: Steps) -> RunResult:

@@ -31,6 +31,7 @@ pipeline:
 
 def main() -> int:
     """Time the sweep with one worker, then with two."""
+    os.environ["MLENS_CACHE_SIZE"] = "0"  # or the second sweep would take its lenses from the first
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--runs", type=int, default=8, help="lenses in the sweep")
     runs = options.parse_args().runs
