@@ -21,7 +21,7 @@ from magiclens import Analysis, Findings
 from magiclens.cache import sources
 from magiclens.cache.sources import UnknownSources, source_hashes
 from magiclens.cache.store import Cache, new_entry
-from magiclens.cache.values import NotPlain, borrows, described, packed, settled, unpacked
+from magiclens.cache.values import NotPlain, borrowed, described, packed, settled, unpacked
 from magiclens.cli import app
 from magiclens.contract.artifacts import Assignment, Candidates, HeightField, Lens, Scene, Solid, View
 from magiclens.contract.errors import Terminated
@@ -465,11 +465,24 @@ def test_other_sources_of_a_plugin_make_its_stages_work_again(
         # as a new process would begin
         sys.modules.pop("mlens_written", None)
         sources._hash.cache_clear()
+        sources._hashed.clear()
         stage = __import__("mlens_written").Written
         registry = asking(stages=(*STAGES, stage))
         again, folder = run(words, more, registry=registry)
         assert again.kept_steps - {"size"} == done
         assert (folder / "lens.written").read_text() == words
+
+
+def test_what_was_made_while_sources_were_edited_is_not_kept(run: Any, cache: Cache, tmp_path: Path) -> None:
+    edited = tmp_path / "edited.py"
+    edited.write_text("x = 1\n")
+    sources._hash(edited)
+    edited.write_text("x = 22\n")
+    try:
+        run("first")
+        assert list(cache.entries()) == []
+    finally:
+        del sources._hashed[edited]
 
 
 def test_code_that_is_in_no_file_is_not_kept(run: Any) -> None:
@@ -636,9 +649,9 @@ def test_values_come_back_as_they_were() -> None:
     solid = Solid(turned, np.zeros((4, 3), np.int32), (2, 2), None, {"volume_mm3": float("nan"), "n": np.int64(3)})
     value = [scene, solid, (1, 2.5, "x", None, True)]
     document, arrays = packed(value, [scene])
-    assert borrows(document)
+    assert borrowed(document) == {0}
     assert len(arrays) == 2  # the scene's arrays are those of the input
-    back = unpacked(json.loads(json.dumps(document)), arrays, [scene])
+    back = unpacked(json.loads(json.dumps(document)), arrays, {0: scene})
     assert json.dumps(described(back)) == json.dumps(described(value))  # as text, since NaN is not equal to itself
     assert back[0].views[0].source is back[0].views[1].source
     assert back[1].vertices.strides == turned.strides

@@ -94,16 +94,37 @@ def _file(module: ModuleType) -> str:
     return getattr(module, "__file__", None) or ""
 
 
+def unchanged() -> bool:
+    """Whether all sources are still those whose hashes were taken.
+
+    Modules are imported when they are needed, so what is edited during a run may have taken part in it.
+    """
+    return all(_state(path) == state for path, state in _hashed.items())
+
+
+_hashed: dict[Path, str] = {}
+"""Folders and files whose hashes were taken, with their ``_state`` then."""
+
+
 @cache
 def _hash(path: Path) -> str:
     """Hash of a file, or of all files in a folder with their names."""
+    _hashed[path] = _state(path)
     found = hashlib.sha256()
-    files = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file())
-    for file in files:
-        if file.suffix not in _MADE_BY_RUNNING:
-            name = file.relative_to(path).as_posix()
-            found.update(f"{name}\0{file.stat().st_size}\0".encode() + file.read_bytes())
+    for file in _sources(path):
+        found.update(f"{file.relative_to(path).as_posix()}\0{file.stat().st_size}\0".encode() + file.read_bytes())
     return found.hexdigest()[:32]
+
+
+def _state(path: Path) -> str:
+    """Names, sizes and times of the files of ``_hash``, which are found more quickly than their content."""
+    return str([(str(file), file.stat().st_size, file.stat().st_mtime_ns) for file in _sources(path)])
+
+
+def _sources(path: Path) -> list[Path]:
+    """A file, or all files in a folder but those that Python and numba write."""
+    files = [path] if path.is_file() else sorted(file for file in path.rglob("*") if file.is_file())
+    return [file for file in files if file.suffix not in _MADE_BY_RUNNING]
 
 
 def _version(distribution: str) -> str | None:

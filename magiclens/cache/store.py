@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 from uuid import uuid4
 
@@ -27,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magiclens.cache.folder import FOLDER_VARIABLE, most_bytes, results_folder
+from magiclens.cache.sources import unchanged
 from magiclens.cache.values import array_digest, digest_of, packed, unpacked
 
 _ENTRIES, _FILES = "entries-1", "files-1"
@@ -119,12 +121,12 @@ class Cache:
         _use(path)
         return entry
 
-    def value(self, entry: Entry, inputs: Sequence[Any] = ()) -> Any:
+    def value(self, entry: Entry, inputs: Mapping[int, Any] = MappingProxyType({})) -> Any:
         """The result of an entry.
 
         Args:
             entry: What ``find`` returned.
-            inputs: What the result was made from.
+            inputs: What the result was made from, as far as arrays are ``borrowed`` from it, by its place.
 
         Raises:
             Damaged: It cannot be read, or is not as it was written. It is removed then, and said aloud.
@@ -155,7 +157,7 @@ class Cache:
         return True
 
     def keep(self, entry: Entry, value: Any = None, inputs: Sequence[Any] = (), folder: Path | None = None) -> None:
-        """Keep a result.
+        """Keep a result, unless sources have been edited since their hashes were taken: then its key may be wrong.
 
         Args:
             entry: All but ``value``, ``files`` and ``content``, which are found here; the paths in ``files`` count.
@@ -164,6 +166,8 @@ class Cache:
             folder: The run folder that has the files.
         """
         document, arrays = packed(value, inputs)
+        if not unchanged():
+            return
         with self._writing():
             files = {name: self._keep_file(folder / name) for name in entry.files} if folder else {}
             plain = {**vars(entry), "value": document, "files": files, "content": ""}

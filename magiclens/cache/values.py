@@ -18,7 +18,7 @@ from magiclens.contract.artifacts import Assignment, Candidates, HeightField, Le
 _CLASSES: dict[str, type[Any]] = {
     cls.__name__: cls for cls in (Lens, View, Scene, Candidates, Assignment, HeightField, Solid)
 }
-_INPUT = "input"
+_INPUT = "input "
 """How names of arrays begin that an input holds already, so that they are not kept twice."""
 
 
@@ -90,12 +90,12 @@ def packed(value: Any, inputs: Sequence[Any]) -> tuple[Any, dict[str, NDArray[An
     Raises:
         NotPlain: It holds something else.
     """
-    packer = _Packer({id(array): name for name, array in _arrays_of(inputs).items()})
+    packer = _Packer({id(array): name for name, array in _arrays_of(dict(enumerate(inputs))).items()})
     return packer.pack(value), packer.arrays
 
 
-def unpacked(document: Any, arrays: Mapping[str, NDArray[Any]], inputs: Sequence[Any]) -> Any:
-    """The value that ``packed`` was given."""
+def unpacked(document: Any, arrays: Mapping[str, NDArray[Any]], inputs: Mapping[int, Any]) -> Any:
+    """The value that ``packed`` was given; ``inputs`` are those that are ``borrowed``, by their places."""
     known: dict[str, NDArray[Any]] = {}
 
     def unpack(data: Any) -> Any:
@@ -119,14 +119,15 @@ def unpacked(document: Any, arrays: Mapping[str, NDArray[Any]], inputs: Sequence
     return unpack(document)
 
 
-def borrows(document: Any) -> bool:
-    """Whether ``unpacked`` needs the inputs for this data."""
+def borrowed(document: Any) -> set[int]:
+    """Which of the inputs ``unpacked`` needs for this data, by their places."""
     if isinstance(document, list):
-        return any(map(borrows, document))
+        return set().union(*map(borrowed, document))
     if not isinstance(document, dict):
-        return False
-    name = document["array"][0] if "array" in document else ""
-    return name.startswith(_INPUT) or any(map(borrows, document.values()))
+        return set()
+    name = str(document["array"][0]) if "array" in document else ""
+    own = {int(name.removeprefix(_INPUT).partition(".")[0])} if name.startswith(_INPUT) else set()
+    return own.union(*map(borrowed, document.values()))
 
 
 class _Packer:
@@ -174,7 +175,7 @@ def _order_in_memory(array: NDArray[Any]) -> list[int]:
     return axes if array.transpose(axes).flags.c_contiguous else []
 
 
-def _arrays_of(inputs: Sequence[Any]) -> dict[str, NDArray[Any]]:
+def _arrays_of(inputs: Mapping[int, Any]) -> dict[str, NDArray[Any]]:
     """All arrays of inputs, by names that tell where they are."""
     found: dict[str, NDArray[Any]] = {}
 
@@ -188,8 +189,8 @@ def _arrays_of(inputs: Sequence[Any]) -> dict[str, NDArray[Any]]:
             for k, each in enumerate(value):
                 collect(each, f"{name}.{k}")
 
-    for k, each in enumerate(inputs):
-        collect(each, f"{_INPUT} {k}")
+    for k, each in inputs.items():
+        collect(each, f"{_INPUT}{k}")
     return found
 
 

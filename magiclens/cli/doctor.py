@@ -88,6 +88,7 @@ def examine(registry: Registry) -> list[Diagnosis]:
         *_packages(),
         _plugins(registry),
         _kernel_cache(),
+        _kept_results(),
         _llvm(),
         _movies(),
         _font(),
@@ -173,6 +174,19 @@ def _kernel_cache() -> Diagnosis:
     if _writable(folder):
         return Diagnosis(name, "ok", str(folder))
     advice = f"every run compiles for a minute: set {VARIABLE} to a folder that can be written"
+    return Diagnosis(name, "broken", f"cannot write in {folder}", False, advice)
+
+
+def _kept_results() -> Diagnosis:
+    """Whether results of runs can be kept; else every run does everything."""
+    from magiclens.cache.folder import FOLDER_VARIABLE, SIZE_VARIABLE, results_folder
+
+    folder, name = results_folder(), "kept results"
+    if os.environ.get(SIZE_VARIABLE, "").strip() == "0":
+        return Diagnosis(name, "ok", f"none: {SIZE_VARIABLE} is 0")
+    if _writable(folder):
+        return Diagnosis(name, "ok", str(folder))
+    advice = f"every run does everything: set {FOLDER_VARIABLE} to a folder that can be written"
     return Diagnosis(name, "broken", f"cannot write in {folder}", False, advice)
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from magiclens.cache.store import Cache
 from magiclens.contract.artifacts import (
@@ -71,7 +72,7 @@ class Drafts:
             unfinished=self.unfinished.value,
             solid=self.solid.value,
             renders={name: pictures.value for name, pictures in self.renders.items()},
-            transports=self.transports.value,
+            transports=_Later(self.transports),
             redesign=partial(_redesign, plan, cache),
         )
 
@@ -124,6 +125,23 @@ def _rendered(step: Step[Renderer], scene: Kept[Scene], solid: Kept[Solid], step
         check_pictures(scene.value, found)
 
     return steps.stage(step, "render", {"scene": scene, "solid": solid}, check)
+
+
+class _Later(Sequence[Transport]):
+    """Matrices that are traced when somebody looks at them: few analyses do, and it takes long."""
+
+    def __init__(self, kept: Kept[list[Transport]]):
+        self._kept = kept
+
+    def __len__(self) -> int:
+        return len(self._kept.value)
+
+    def __getitem__(self, index: Any) -> Any:
+        return self._kept.value[index]
+
+    def __reduce__(self) -> tuple[type[Any], tuple[Any, ...]]:
+        """Pickle the matrices, since what is not there yet cannot be pickled."""
+        return list, (self._kept.value,)
 
 
 def _redesign(plan: Plan, cache: Cache | None, given: Scene) -> tuple[Scene, Solid]:

@@ -130,14 +130,17 @@ def run_plan(plan: Plan, out_dir: str | Path, observer: Observer | None = None, 
     out, observer = Path(out_dir), observer or Observer()
     place = place_for(out)
     cache = cache or usual_cache(observer.notice)
+    made_of = of_run(plan) if cache else None  # now: files that the spec names may be edited during the run
     steps = Steps(plan, observer, cache)
     _tell_failures(plan, observer)
     try:
         with atomic_folder(place, observer.notice) as folder:
             result = _make(plan, folder, steps)
             whole = write_manifest(folder, result.manifest, steps.timings())
-            if cache:
-                _keep_run(plan, result.manifest, whole, folder, cache)
+            if cache and made_of:
+                # most contents of its files are kept already, by the steps that wrote them
+                files = [artifact["path"] for artifact in whole["artifacts"]]
+                cache.keep(new_entry("run", made_of, whole["seconds"], result.manifest, files), folder=folder)
         # only now, when the folder is in its place: observers may read it
         steps.tell("mlens_run_done", folder=out, manifest=whole)
     finally:
@@ -186,14 +189,6 @@ class _Incomplete(Exception):
 def _tell_failures(plan: Plan, observer: Observer) -> None:
     for failure in plan.registry.failures:
         observer.notice(f"{failure}; see 'mlens plugins'")
-
-
-def _keep_run(plan: Plan, facts: Mapping[str, Any], whole: Mapping[str, Any], folder: Path, cache: Cache) -> None:
-    """Keep which files a run has; most of their contents are kept already, by the steps that wrote them."""
-    made_of = of_run(plan)
-    if made_of:
-        files = [artifact["path"] for artifact in whole["artifacts"]]
-        cache.keep(new_entry("run", made_of, whole["seconds"], facts, files), folder=folder)
 
 
 def _make(plan: Plan, folder: Path, steps: Steps) -> RunResult:

@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from magiclens.cache.store import Cache, Damaged, new_entry
-from magiclens.cache.values import NotPlain, borrows, settled
+from magiclens.cache.values import NotPlain, borrowed, settled
 from magiclens.contract.artifacts import Scene, Solid
 from magiclens.contract.checks import BadArtifact, check_file
 from magiclens.contract.stages import Exporter, Progress
@@ -229,8 +229,10 @@ class Steps:
         self._observer.reused(name)
 
         def get() -> Any:
+            places = borrowed(entry.value)
+            given = {k: each.value for k, each in enumerate(inputs.values()) if k in places}
             try:
-                return cache.value(entry, [each.value for each in inputs.values()] if borrows(entry.value) else [])
+                return cache.value(entry, given)
             except Damaged:
                 return make(before)
 
