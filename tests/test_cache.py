@@ -24,7 +24,7 @@ from magiclens.cache.store import Cache, new_entry
 from magiclens.cache.values import NotPlain, borrowed, described, packed, settled, unpacked
 from magiclens.cli import app
 from magiclens.contract.artifacts import Assignment, Candidates, HeightField, Lens, Scene, Solid, View
-from magiclens.contract.errors import Terminated
+from magiclens.contract.errors import StageError, Terminated
 from magiclens.contract.hookspecs import hookimpl
 from magiclens.contract.stages import Encoder, Progress, silent
 from magiclens.plan.compile import Plan, load_plan
@@ -433,6 +433,13 @@ def test_a_stage_says_what_else_it_depends_on(run: Any) -> None:
     Placed.place[:] = ["there"]
     assert run("moved", more, registry=placed)[0].kept_steps == {"renderer placed"}
     Placed.place[:] = ["here"]
+
+
+@pytest.mark.parametrize("answer", [lambda: 1 / 0, object])
+def test_a_stage_that_cannot_say_that_is_named(answer: Any, run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ToyMatcher, "surroundings", lambda self: answer())
+    with pytest.raises(StageError, match=r"^matcher toy \(magiclens-toys 1.2\): surroundings failed"):
+        run("out")
 
 
 def test_another_version_of_a_stage_is_another_stage(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 from magiclens.cache.sources import UnknownSources, processor, required_versions, source_hashes
 from magiclens.cache.values import NotPlain, described, digest_of
 from magiclens.config.fields import Inputs
+from magiclens.plan.blame import blaming
 from magiclens.plan.compile import Plan, Step
 from magiclens.plan.registry import Registry
 from magiclens.running.manifest import spec_text, versions
@@ -91,7 +92,7 @@ def of_stage(step: Step[Any], method: str, inputs: Mapping[str, Kept[Any]], rng:
         "step": f"{step.name} {method}",
         "options": step.choice(HashedInputs()),
         "version": stage.version,
-        "surroundings": _surroundings(stage),
+        "surroundings": _surroundings(step),
         **_code(sources, [step.plugin.package]),
         "inputs": {name: each.made_of for name, each in inputs.items()},
         "rng": rng,
@@ -132,7 +133,7 @@ def of_run(plan: Plan) -> MadeOf | None:
         "spec": spec,
         "files": {name: file_hash(path) for path, name in inputs.items()},
         "versions": versions(plan),
-        "stages": [[step.name, step.stage.version, _surroundings(step.stage)] for step in plan.steps],
+        "stages": [[step.name, step.stage.version, _surroundings(step)] for step in plan.steps],
     }
     return of_pipeline("run", known_by, *whole_registry(plan.registry))
 
@@ -175,9 +176,11 @@ def _code(sources: Mapping[str, str], packages: Iterable[str]) -> MadeOf:
     return {"sources": dict(sources), "packages": merged, "processor": processor()}
 
 
-def _surroundings(stage: Any) -> Any:
-    ask = getattr(stage, "surroundings", None)
-    return ask() if ask else None
+def _surroundings(step: Step[Any]) -> Any:
+    """What a stage says that it depends on besides; a stage need not inherit from our base, and then says nothing."""
+    ask = getattr(step.stage, "surroundings", None)
+    with blaming(f"{step}: surroundings"):
+        return described(ask()) if ask else None
 
 
 @lru_cache(maxsize=256)
