@@ -135,12 +135,48 @@ def test_a_limit_that_a_file_breaks_is_named_with_its_line(load: Loader) -> None
 def test_options_of_a_machine_can_be_changed(load: Loader) -> None:
     plan = load("fabrication={machine: sla, layer: 50um, price: 99}", "pipeline.exporters=[{type: slices}]")
     assert (plan.fabrication.machine.layer, plan.fabrication.machine.price) == (0.05, 99)
-    assert plan.exporters[0].stage.model_dump() == {"dpi_x": 1016.0, "dpi_y": 1016.0, "layer": 0.05}
+    wanted = {"dpi_x": 1016.0, "dpi_y": 1016.0, "layer": 0.05, "slicing": "diffused"}
+    assert plan.exporters[0].stage.model_dump() == wanted
 
 
 def test_an_exporters_own_options_come_before_the_machines(load: Loader) -> None:
     plan = load("fabrication={machine: sla}", "pipeline.exporters=[{type: slices, dpi_x: 300}]")
-    assert plan.exporters[0].stage.model_dump() == {"dpi_x": 300.0, "dpi_y": 1016.0, "layer": 0.025}
+    wanted = {"dpi_x": 300.0, "dpi_y": 1016.0, "layer": 0.025, "slicing": "diffused"}
+    assert plan.exporters[0].stage.model_dump() == wanted
+
+
+@pytest.mark.parametrize(
+    ("exporters", "written", "slicing"),
+    [
+        ("[{type: stl}]", "", "plain"),
+        ("[{type: stl}, {type: slices}]", "", "diffused"),
+        ("[{type: slices}]", ", slicing: plain", "plain"),
+        ("[{type: stl}]", ", slicing: diffused", "diffused"),
+    ],
+)
+def test_layers_are_diffused_where_slices_are_our_own(exporters: str, written: str, slicing: str, load: Loader) -> None:
+    plan = load(f"fabrication={{machine: sla{written}}}", f"pipeline.exporters={exporters}")
+    assert plan.fabrication.machine.slicing == slicing
+    assert [s.stage.slicing for s in plan.exporters if s.stage.type == "slices"] in ([], [slicing])
+
+
+def test_a_printed_lens_is_refined_through_its_process(load: Loader) -> None:
+    plan = load("fabrication={machine: sla, blur: 0.03mm, polish: 0.04mm}")
+    assert plan.lens.cells == "vertical"
+    assert plan.integrator.stage.process.spread == pytest.approx(0.05)
+    assert plan.lens.bleed_mm > 6 * 0.05  # where the machine rounds the body's edge off
+
+
+def test_a_lens_that_is_cut_along_eye_rays_keeps_its_facets(load: Loader) -> None:
+    assert load("fabrication={machine: sla}", "lens.cells=eye").integrator.stage.process is None
+
+
+def test_a_thick_coat_levels_longer_waves(load: Loader) -> None:
+    # Orchard's equation by hand: 33 mN/m, 1 Pa s, 10 s
+    waves = {"5um": 0.38, "20um": 1.08, "50um": 2.15}
+    for film, wavelength in waves.items():
+        machine = load(f"fabrication={{machine: sla, lacquer: {{film: {film}}}}}").fabrication.machine
+        assert machine.linear_process.levelling == pytest.approx(wavelength, abs=0.01)
 
 
 @pytest.mark.parametrize("kind", ["gcode", "rml"])

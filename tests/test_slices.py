@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from zipfile import ZipFile
@@ -18,6 +19,8 @@ from magiclens.contract.errors import InputError
 from magiclens.exporting.slices import Slices
 from magiclens.geometry.solid import volume
 from magiclens.plan.compile import load_plan
+from magiclens.profiles.machines import Printer, machines
+from magiclens.simulation.as_printed import as_printed
 from toys import TOYS, SpecWriter, registry_of
 
 MILLIMETRE = {"dpi_x": 25.4, "dpi_y": 25.4, "layer": "1mm"}
@@ -157,3 +160,28 @@ def test_stacks_too_large_to_make_are_refused(options: dict[str, Any], message: 
         Slices(**options).export(Scene(lens, ()), flat(lens), tmp_path / "lens.slices.zip")
     assert message in str(caught.value)
     assert not list(tmp_path.iterdir())
+
+
+def test_diffused_columns_have_the_right_mean_height(tmp_path: Path) -> None:
+    lens = replace(LENS, thickness_mm=8.013)  # 0.52 layers above whole ones
+    options = {**FINE, "layer": "25um"}
+    plain, diffused = (stack(flat(lens), tmp_path, **options, slicing=s)[0] for s in ("plain", "diffused"))
+    heights = diffused.sum(axis=0)
+    assert np.ptp(plain.sum(axis=0)) == 0
+    assert np.ptp(heights) == 1
+    assert heights.mean() * 0.025 == pytest.approx(8.013, abs=0.002)
+    assert (np.diff(diffused.astype(int), axis=0) <= 0).all(), "no voxel hangs in the air"
+
+
+def test_diffused_slices_are_what_is_simulated(tmp_path: Path) -> None:
+    solid = bumpy(None)
+    voxels, facts, _ = stack(solid, tmp_path, dpi_x=508.0, dpi_y=508.0, layer="50um", slicing="diffused")
+    assert facts["slicing"] == "diffused"
+    profile = machines()["sla"]
+    raw = {"dpi": [508, 508], "layer": "50um", "blur": "0mm", "polish": "0mm", "slicing": "diffused"}
+    printer = profile.model.model_validate({**profile.options, **raw})
+    assert isinstance(printer, Printer)
+    made = as_printed(solid, printer)
+    assert made.grid == voxels.shape[1:]
+    z = made.vertices[: voxels[0].size, 2].reshape(made.grid)
+    assert np.array_equal(np.rint(z / 0.05), np.maximum(voxels.sum(axis=0), 1))

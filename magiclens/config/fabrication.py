@@ -10,8 +10,9 @@ from magiclens.config.checker import Checker
 from magiclens.config.document import Document
 from magiclens.config.model import Choice, LensSpec
 from magiclens.config.suggest import advice, unknown
+from magiclens.contract.artifacts import Lens
 from magiclens.contract.units import ANGLE, LENGTH
-from magiclens.profiles.machines import Machine, Mill, Profile, machines
+from magiclens.profiles.machines import Machine, Mill, Printer, Profile, machines
 
 _KEY = "machine"
 
@@ -38,19 +39,22 @@ class Fabrication:
         # null in a spec counts as not written where the machine has a default
         return {**usual, **{key: value for key, value in written.items() if value is not None or key not in usual}}
 
-    def suited(self, scenarios: Mapping[str, Choice], wall_mm: float) -> dict[str, Choice]:
+    def suited(self, scenarios: Mapping[str, Choice], lens: LensSpec) -> dict[str, Choice]:
         """Stages that suit both scenario and machine; where they want different types, the scenario decides.
 
         Args:
             scenarios: Stages that suit the scenario, by kind.
-            wall_mm: Width of the walls between facets; mills get a step limit that follows from it.
+            lens: The lens. Mills get a step limit that follows from its walls; printers, whose lens is one surface of
+                vertical cells, get their process, through which that is refined.
 
         Returns:
             Types and options of stages, by kind.
         """
         own = {kind: dict(usual) for kind, usual in self.profile.stages.items()}
         if isinstance(self.machine, Mill) and "integrator" in own:
-            own["integrator"]["step_limit"] = LENGTH.text(round(self.machine.step_mm(wall_mm), 4))
+            own["integrator"]["step_limit"] = LENGTH.text(round(self.machine.step_mm(lens.wall), 4))
+        if isinstance(self.machine, Printer) and "integrator" in own and lens.cells == "vertical":
+            own["integrator"]["process"] = self.machine.linear_process.model_dump(mode="json")
         both: dict[str, Choice] = {**own, **scenarios}
         # options of the machine hold even if the scenario chose the stage, such as the step limit of mills
         for kind, usual in own.items():
@@ -61,6 +65,18 @@ class Fabrication:
     def resolved(self) -> dict[str, Any]:
         """The mapping at the key ``fabrication`` with every option."""
         return {_KEY: self.name, **self.machine.model_dump(mode="json", exclude_none=True)}
+
+    def rim_mm(self, lens: Lens, distance_mm: float) -> float:
+        """How far the top must go on beyond the lens's square, so that its rim shows no frame.
+
+        Args:
+            lens: The lens.
+            distance_mm: From the reference plane to the eye.
+        """
+        if not isinstance(self.machine, Printer):
+            return 0.0
+        # the machine rounds the body's edge off, and the eye looks past the edge of facets that are low
+        return self.machine.linear_process.reach_mm + lens.relief_mm * lens.size_mm / 2 / distance_mm
 
     def objections(self, lens: LensSpec) -> Iterator[tuple[str, str]]:
         """What the machine cannot make.
@@ -122,5 +138,15 @@ def find_fabrication(document: Document, checker: Checker) -> Fabrication | None
         checker.add(("fabrication", _KEY), unknown("machine", name, known))
         return None
     options = {key: value for key, value in written.items() if key != _KEY}
+    if profile.model is Printer and _writes_slices(document):
+        options = {"slicing": "diffused", **options}
     machine = checker.validate(profile.model, {**profile.options, **options}, ("fabrication",))
     return Fabrication(str(name), profile, machine) if machine else None
+
+
+def _writes_slices(document: Document) -> bool:
+    """Whether the spec exports slices of its own, whose rounding is ours; otherwise somebody else's slicer rounds."""
+    pipeline = document.data.get("pipeline")
+    exporters = pipeline.get("exporters") if isinstance(pipeline, dict) else None
+    named = exporters if isinstance(exporters, list) else []
+    return any(isinstance(each, dict) and each.get("type") == "slices" for each in named)

@@ -79,9 +79,12 @@ def _definition(noun: str, type_: str, cls: type[BaseModel]) -> dict[str, Any]:
 
 def _machine(process: str, model: type[BaseModel]) -> dict[str, Any]:
     """The options of the machines of one process, and their names."""
-    schema = model.model_json_schema(schema_generator=Draft7)
+    template = f"{_REF}machine-{process}/definitions/{{model}}"
+    schema = model.model_json_schema(ref_template=template, schema_generator=Draft7)
+    inside = {"definitions": schema.get("$defs", {})}
     names = [name for name, profile in machines().items() if profile.process == process]
-    return {**schema, "properties": {"machine": {"enum": names}, **schema["properties"]}, "required": ["machine"]}
+    properties = {"machine": {"enum": names}, **schema["properties"]}
+    return {**schema, "properties": properties, "required": ["machine"], **inside}
 
 
 def _one_of(noun: str, classes: _Classes) -> dict[str, Any]:

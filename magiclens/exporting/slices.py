@@ -16,6 +16,7 @@ from magiclens.contract.errors import InputError
 from magiclens.contract.stages import Exporter
 from magiclens.contract.units import LENGTH, Length
 from magiclens.exporting.archive import entry
+from magiclens.processes.layers import Slicing
 
 if TYPE_CHECKING:
     from magiclens.exporting.voxels import Bitmap, VoxelGrid
@@ -38,22 +39,30 @@ class Slices(Exporter):
     dpi_x: float = Field(600.0, ge=10, le=10000, description="pixels per inch along x")
     dpi_y: float = Field(300.0, ge=10, le=10000, description="pixels per inch along y")
     layer: Length = Field("27um", validate_default=True, gt=0, description="height of a layer")
+    slicing: Slicing = Field(
+        "plain", description="how heights become layers: plain rounding, or error diffusion, which leaves no stairs"
+    )
 
     def export(self, scene: Scene, solid: Solid, path: Path) -> None:
-        """Write the archive layer by layer. Raises InputError if the stack would be too large."""
-        from magiclens.exporting.voxels import VoxelGrid, layers
+        """Write the archive layer by layer. Raises InputError if the stack would be too large.
+
+        With error diffusion, what overhangs is filled down to the bottom: a column of voxels has one height.
+        """
+        from magiclens.exporting.voxels import VoxelGrid, diffused_layers, layers
 
         grid = VoxelGrid.around(solid, (25.4 / self.dpi_x, 25.4 / self.dpi_y), self.layer)
         self._check(grid)
+        stack = layers(solid, grid) if self.slicing == "plain" else diffused_layers(solid, grid)
         filled = 0  # number of voxels
         with ZipFile(path, "w") as archive:
-            for k, (bitmap, changed) in enumerate(layers(solid, grid)):
+            for k, (bitmap, changed) in enumerate(stack):
                 if changed or k == 0:  # layers that are alike are compressed once
                     png = self._png(bitmap, grid)
                     inside = int(np.bitwise_count(bitmap).sum(dtype=np.int64))
                 filled += inside
                 archive.writestr(entry(_name(k), packed=False), png)
-            text = json.dumps(_manifest(grid, filled * grid.voxel_mm3), indent=2) + "\n"
+            facts = {**_manifest(grid, filled * grid.voxel_mm3), "slicing": self.slicing}
+            text = json.dumps(facts, indent=2) + "\n"
             archive.writestr(entry("manifest.json"), text)
 
     def _check(self, grid: VoxelGrid) -> None:

@@ -76,6 +76,27 @@ def layers(solid: Solid, grid: VoxelGrid) -> Iterator[tuple[Bitmap, bool]]:
         yield bitmap, bool(end > start)
 
 
+def diffused_layers(solid: Solid, grid: VoxelGrid) -> Iterator[tuple[Bitmap, bool]]:
+    """The same for columns whose heights are rounded to layers by error diffusion, see ``processes.layers``."""
+    from magiclens.geometry.columns import top_heights
+    from magiclens.processes.layers import layers_of
+
+    floor = grid.first_mm[2] - grid.layer_mm / 2
+    heights = np.nan_to_num(top_heights(solid, grid.columns_mm(), grid.rows_mm()) - floor, nan=0.0)
+    count = layers_of(heights, grid.layer_mm, "diffused")
+    # diffusion may put a column one layer above the solid's highest point; there is no layer for it
+    ends = np.minimum(count, grid.shape[0]).ravel()
+    order = np.argsort(ends, kind="stable").astype(np.int32)
+    starts = np.searchsorted(ends[order], np.arange(grid.shape[0] + 1), "right")
+    bitmap = np.zeros((grid.shape[1], -(-grid.shape[2] // 8)), np.uint8)
+    flip(bitmap, order[starts[0] :], grid.shape[2])
+    changed = True
+    for start, end in pairwise(starts):
+        yield bitmap, changed
+        flip(bitmap, order[start:end], grid.shape[2])
+        changed = bool(end > start)
+
+
 def _crossings(solid: Solid, grid: VoxelGrid) -> tuple[IntArray, IntArray]:
     """Which columns of voxels change from layer to layer.
 

@@ -14,6 +14,7 @@ from magiclens.contract.stages import Integrator, Progress, silent
 from magiclens.contract.units import Length
 from magiclens.integration.laplacian import cosines, divergence
 from magiclens.integration.surface_metrics import surface_metrics
+from magiclens.processes.linear import LinearProcess
 
 _SETTLING = 3
 """Rounds after which `light` placement keeps its levels: its energy has kinks, at which it would oscillate."""
@@ -44,6 +45,9 @@ class Poisson(Integrator):
         16, ge=0, description="steps of free-form refinement, per blur of the sources; 0 leaves facets smooth lenslets"
     )
     tolerance: float = Field(1e-5, gt=0, description="stop once no height moves by more than this, mm")
+    process: LinearProcess | None = Field(
+        None, description="what the machine evens out: the whole top is refined by what it shows as made"
+    )
 
     def integrate(self, scene: Scene, assignment: Assignment, progress: Progress = silent) -> HeightField:
         """Iterate orientation and integration to convergence."""
@@ -72,12 +76,19 @@ class Poisson(Integrator):
         return replace(limited, metrics={**built.metrics, **surface_metrics(limited)})
 
     def refine(self, scene: Scene, built: HeightField, progress: Progress = silent) -> HeightField:
-        """Move the facets' vertices so that they show their tiles better; borders stay where steps are limited."""
+        """Move the vertices so that facets show their tiles better, as designed or, through the process, as made.
+
+        Borders stay where steps are limited.
+        """
         from magiclens.integration.levels import levels_of_least_lost_light
         from magiclens.integration.refinement import refine
 
         if self.refinement == 0:
             return built
+        if self.process and built.eye_mm is None:
+            from magiclens.integration.through_process import refine_through
+
+            return refine_through(scene, built, self.process, progress)
         if self.step_limit is not None:
             return refine(scene, built, self.refinement, progress, locked=True)
         relevel = (

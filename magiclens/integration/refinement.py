@@ -129,7 +129,7 @@ class _Facets:
         Returns:
             (F,) mean squared errors, in display values; inf for perfect ones.
         """
-        pictures, samples = _blurred(self._pictures, blur * self._lens.pitch_mm), self._samples[look_ups]
+        pictures, samples = blurred(self._pictures, blur * self._lens.pitch_mm), self._samples[look_ups]
         descent = Descent(rounds, _ITERATIONS, _ENOUGH)
         errors = np.full(len(self.heights), np.inf)
         for first in range(0, len(self._imperfect), _AT_ONCE):
@@ -224,7 +224,7 @@ def pictures_of(scene: Scene, pixels: int) -> Pictures:
     )
 
 
-def _blurred(pictures: Pictures, blur_mm: float) -> Pictures:
+def blurred(pictures: Pictures, blur_mm: float) -> Pictures:
     """The same with sources blurred by a Gaussian of this sigma, mm; beside the sources it is dark, as for look-ups."""
     sigma = blur_mm * len(pictures.sources) / pictures.source_mm
     return pictures._replace(sources=gaussian_filter(pictures.sources, (sigma, sigma, 0), mode="constant"))

@@ -143,7 +143,7 @@ class Rays(NamedTuple):
 
 
 @njit(cache=True)
-def _land(u, v, height, along_u, along_v, eye, optics):
+def land_by_slopes(u, v, height, along_u, along_v, eye, optics):
     """Where an eye's ray through the surface over (u, v) meets the source, see ``optics.eyes.land``.
 
     With ``along_u`` = dh/du and ``along_v`` = dh/dv the unit normal is ``q (-along_u, -along_v, nz)``. That is the
@@ -226,14 +226,14 @@ def _aim(heights, slopes, centre, eye, samples, optics, derive, rays):
         u, v = centre[0] - 0.5 * m * cell + right, centre[1] + 0.5 * m * cell - down
         third = heights[i, j + 1] if t & 1 else heights[i + 1, j]
         h, a, b = (heights[i, j] + heights[i + 1, j + 1] + third) / 3, slopes[t, 0], slopes[t, 1]
-        x, y, there = _land(u, v, h, a, b, eye, optics)
+        x, y, there = land_by_slopes(u, v, h, a, b, eye, optics)
         if not there:
             return False
         rays.landing[t, 0], rays.landing[t, 1] = x, y
         for k in range(4 if derive else 0):
             du, dv = (_SPAN_STEP_MM if k == 2 else 0.0), (_SPAN_STEP_MM if k == 3 else 0.0)
             da, db = (_SLOPE_STEP if k == 0 else 0.0), (_SLOPE_STEP if k == 1 else 0.0)
-            ax, ay, good = _land(u + du, v + dv, h + a * du + b * dv, a + da, b + db, eye, optics)
+            ax, ay, good = land_by_slopes(u + du, v + dv, h + a * du + b * dv, a + da, b + db, eye, optics)
             step = _SLOPE_STEP if k < 2 else _SPAN_STEP_MM
             out = rays.by_slope[t, k] if k < 2 else rays.by_position[t, k - 2]
             # where the neighbouring ray does not arrive, nothing is known: no change is expected
@@ -285,7 +285,7 @@ def _gather(samples, rays, pictures, e, light, gradients):
 
 
 @njit(cache=True)
-def _target_at(pictures, e, px, py, out):
+def target_at(pictures, e, px, py, out):
     """Fill out (C,) with the targets of eye e at (px, py), mm, between pixels; False beyond the lens's square."""
     targets = pictures.targets
     rows = len(targets)
@@ -342,7 +342,7 @@ def predict_facet(heights, centre, samples, pictures, optics, derive, rays, show
             h = heights[int(down), int(right)]  # of a vertex nearby: where a pixel is seen depends little on heights
             u, v = centre[0] + (right - 0.5 * m) * cell, centre[1] + (0.5 * m - down) * cell
             px, py = project(eye, surface_point(optics, u, v, h, optics.depth), optics.depth)
-            seen = _target_at(pictures, e, px, py, residuals[p])
+            seen = target_at(pictures, e, px, py, residuals[p])
             for c in range(pictures.first[e], pictures.first[e + 1]):
                 # residuals hold the targets until here, and light holds the display curve's slope from here on
                 at = min(int(light[p, c] * each * last + 0.5), last)

@@ -212,7 +212,7 @@ class _Compiler:
         suited = self._suited(scenario, scenario_plugin)
         # where both choose a stage, the scenario's choice wins: without it the lens shows nothing
         if self._fabrication and spec:
-            suited = self._fabrication.suited(suited, spec.lens.wall)
+            suited = self._fabrication.suited(suited, spec.lens)
         steps = self._steps(suited)
         lens = self._fit(spec, scenario, scenario_plugin) if spec and scenario else None
         self._check_analyses(spec)
@@ -307,7 +307,9 @@ class _Compiler:
     def _fit(self, spec: Spec, scenario: Scenario, plugin: Plugin | None) -> Lens | None:
         with blaming(f"scenario {scenario.type} ({plugin})"):
             try:
-                return scenario.fitted_lens(spec.lens.build(), spec.viewer)
+                lens = scenario.fitted_lens(spec.lens.build(), spec.viewer)
+                rim_mm = self._fabrication.rim_mm(lens, spec.viewer.distance) if self._fabrication else 0.0
+                return replace(lens, bleed_mm=max(lens.bleed_mm, rim_mm))
             # caught inside ``blaming``: it is a mistake of the spec, not of the plugin
             except ValueError as error:
                 self._checker.add(("scenario",), str(error))

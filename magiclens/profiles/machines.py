@@ -12,6 +12,8 @@ from typing import Any, ClassVar, Literal
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from magiclens.contract.units import ANGLE, LENGTH, Angle, Length
+from magiclens.processes.layers import Slicing
+from magiclens.processes.linear import LinearProcess
 from magiclens.profiles.data import read_data
 
 _SPEED = r"^\d+(\.\d+)? ?mm/(min|s)$"
@@ -56,8 +58,34 @@ class Machine(BaseModel, ABC):
         """Options that suit this machine, as a spec writes them, by type of exporter."""
 
 
+class Lacquer(BaseModel):
+    """A coat that levels before it cures.
+
+    Attributes:
+        wavelength_mm: Of a wave of this wavelength the coat leaves 1/e (Orchard's equation, see ``LinearProcess``).
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
+
+    film: Length = Field(gt=0, le=1, description="thickness of the coat while it is liquid")
+    viscosity: float = Field(1.0, gt=0, le=1e4, description="Pa s")
+    tension: float = Field(0.033, gt=0, le=1, description="surface tension, N/m")
+    time: float = Field(10.0, gt=0, le=1e5, description="seconds until it has cured")
+
+    @property
+    def wavelength_mm(self) -> float:
+        """See ``Lacquer``."""
+        film_m = self.film / 1000
+        return 1000 * 2 * math.pi * (self.time * self.tension * film_m**3 / (3 * self.viscosity)) ** 0.25
+
+
 class Printer(Machine):
-    """A machine that builds layer on layer."""
+    """A machine that builds layer on layer.
+
+    Attributes:
+        process: See ``Machine``.
+        linear_process: What spreading and the finish leave of the surface.
+    """
 
     process: ClassVar[str] = "printing"
 
@@ -66,8 +94,12 @@ class Printer(Machine):
     blur: Length = Field(ge=0, le=2, description="how far material spreads sideways: sigma of a Gaussian")
     polish: Length = Field(
         "0mm", validate_default=True, ge=0, le=5,
-        description="how far polishing or lacquer evens the surface out: sigma of a Gaussian; 0mm leaves it raw",
+        description="how far polishing evens the surface out: sigma of a Gaussian; 0mm leaves it raw",
     )  # fmt: skip
+    lacquer: Lacquer | None = Field(None, description="a liquid coat, which levels what lies beneath")
+    slicing: Slicing = Field(
+        "plain", description="how heights become layers: plain rounding, as slicers do it, or error diffusion"
+    )
 
     @field_validator("dpi")
     @classmethod
@@ -81,9 +113,18 @@ class Printer(Machine):
         """Width and height of a pixel, mm."""
         return 25.4 / self.dpi[0], 25.4 / self.dpi[1]
 
+    @property
+    def linear_process(self) -> LinearProcess:
+        """See ``Printer``."""
+        # two Gaussians in a row are one whose variance is the sum of theirs
+        spread = math.hypot(self.blur, self.polish)
+        levelling = self.lacquer.wavelength_mm if self.lacquer else 0.0
+        return LinearProcess(spread=LENGTH.text(round(spread, 6)), levelling=LENGTH.text(round(levelling, 6)))
+
     def exporters(self) -> dict[str, dict[str, Any]]:
         """Options for slices at the machine's own resolution."""
-        return {"slices": {"dpi_x": self.dpi[0], "dpi_y": self.dpi[1], "layer": LENGTH.text(self.layer)}}
+        layers = {"layer": LENGTH.text(self.layer), "slicing": self.slicing}
+        return {"slices": {"dpi_x": self.dpi[0], "dpi_y": self.dpi[1], **layers}}
 
 
 class Mill(Machine):

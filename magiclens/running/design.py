@@ -85,12 +85,18 @@ class Designer:
         return self._steps.derived("medium", show, shown=False, scene=painted, medium=how)
 
     def transports(self, solid: Kept[Solid]) -> Kept[list[Transport]]:
-        """One matrix per view, traced; none if the plan has no encoder, which alone needs them."""
+        """One matrix per view, of the lens as it is made; none if the plan has no encoder, which alone needs them."""
         from magiclens.rendering.transports import transports
+        from magiclens.simulation.as_made import body_of
 
+        making = self._plan.fabrication
         if self._plan.encoder is None:
             return self._steps.known([])
-        return self._steps.derived("tracing", transports, scene=self._given, solid=solid)
+        if making is None:
+            return self._steps.derived("tracing", transports, scene=self._given, solid=solid)
+        trace = lambda scene, solid, machine: transports(scene, body_of(solid, making.machine))  # noqa: E731
+        how = self._steps.known(making.machine.model_dump(mode="json"))
+        return self._steps.derived("tracing", trace, scene=self._given, solid=solid, machine=how)
 
     def encode(self, transports: Kept[list[Transport]]) -> Kept[Scene]:
         """The scene with sources painted for a traced lens, or as given if the plan has no encoder.

@@ -89,8 +89,14 @@ class OpenRun:
         first = traced_view(self.scene, view)
         if first.name not in self._transports:
             kept = self.files.transport(first)
-            self._transports[first.name] = kept or transports(replace(self.scene, views=(first,)), self.solid)[0]
+            self._transports[first.name] = kept or transports(replace(self.scene, views=(first,)), self._body)[0]
         return self._transports[first.name].turned(view.quarter_turns - first.quarter_turns)
+
+    @cached_property
+    def _body(self) -> Solid:
+        from magiclens.simulation.as_made import body_of
+
+        return body_of(self.solid, self.plan.fabrication.machine if self.plan.fabrication else None)
 
     @cached_property
     def _transports(self) -> dict[str, Transport]:

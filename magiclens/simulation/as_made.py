@@ -49,6 +49,14 @@ def as_made(machine: Machine, scene: Scene, solid: Solid) -> AsMade | None:
     return AsMade(pictures, shown_db, _psnr_db(Tracer().render(scene, solid), scene) - shown_db)
 
 
+def body_of(solid: Solid, machine: Machine | None) -> Solid:
+    """The body that is looked through: as a printer makes a solid with a grid, otherwise as it was designed.
+
+    Sources are painted for this body, so that they make up for what printing does to it.
+    """
+    return as_printed(solid, machine) if isinstance(machine, Printer) and solid.grid else solid
+
+
 def rough_pictures(machine: Machine, scene: Scene, solid: Solid) -> list[FloatArray]:
     """The same path-traced by Mitsuba, with the roughness of the machine's surface; nothing if it is not simulated."""
     if solid.grid is None:

@@ -1,4 +1,4 @@
-"""The lens as a printer makes it: the stairs of its layers, material that spreads, polishing that evens out."""
+"""The lens as a printer makes it: layers, material that spreads, a finish that evens out."""
 
 from __future__ import annotations
 
@@ -8,38 +8,37 @@ import numpy as np
 
 from magiclens.contract.artifacts import FloatArray, Solid
 from magiclens.geometry.solid import solid_from_raster
+from magiclens.processes.layers import layers_of
 from magiclens.profiles.machines import Printer
 
-_MOST_POINTS = 8_000_000
-"""Most points of the printed surface; on large lenses pixels are joined to stay below."""
+_MOST_PIXELS, _MOST_POINTS = 40_000_000, 8_000_000
+"""Most columns of pixels, which are joined on large lenses, and most points of the surface that is traced."""
 
 
 def as_printed(solid: Solid, printer: Printer) -> Solid:
-    """The body that a printer makes of a solid, its top sampled at the printer's own pixels.
+    """The body that a printer makes of a solid, layer by layer, at the printer's own pixels.
 
-    A column of pixels gets as many layers as have their middle in the solid, as slicers do. Material then spreads
-    sideways, and polishing or lacquer evens the surface out: Gaussians, which keep the volume. Undercuts fill with
-    support and are lost. The grid's cells are vertical (``eye_mm`` is None), and the solid's sides are part of it.
+    A column of pixels gets layers by its height, see ``layers_of``. Material then spreads sideways, and the finish
+    evens the surface out, see ``LinearProcess``. Undercuts fill with support and are lost. The grid's cells are
+    vertical (``eye_mm`` is None), and the solid's sides are part of it.
     """
-    from scipy.ndimage import gaussian_filter
-
     from magiclens.geometry.columns import top_heights
 
-    x, y = (_middles(solid, axis, pixel) for axis, pixel in enumerate(_pixels(solid, printer)))
-    z = np.nan_to_num(top_heights(solid, x, y[::-1]), nan=0.0).astype(np.float64)
-    layers = np.maximum(np.rint(z / printer.layer), 1.0) * printer.layer
-    # two Gaussians in a row are one whose variance is the sum of theirs
-    spread = math.hypot(printer.blur, printer.polish)
-    sigmas = spread / (y[1] - y[0]), spread / (x[1] - x[0])
-    even = gaussian_filter(layers, sigmas, mode="nearest") if spread > 0 else layers
-    return solid_from_raster(x, y[::-1], even)
+    pixels = _pixels(solid, printer)
+    x, y = (_middles(solid, axis, pixel) for axis, pixel in enumerate(pixels))
+    z = np.nan_to_num(top_heights(solid, x, y[::-1]), nan=0.0)
+    layers = np.maximum(layers_of(z, printer.layer, printer.slicing), 1) * printer.layer
+    even = printer.linear_process.of(layers, pixels)
+    # the surface is smooth now: every second pixel says all of it
+    every = math.ceil(math.sqrt(even.size / _MOST_POINTS))
+    return solid_from_raster(x[::every], y[::-1][::every], np.ascontiguousarray(even[::every, ::every]))
 
 
 def _pixels(solid: Solid, printer: Printer) -> tuple[float, float]:
-    """Width and height of the samples: the printer's pixels, or as many of them joined as are needed."""
+    """Width and height of the columns: the printer's pixels, or as many of them joined as are needed."""
     width, height = np.ptp(solid.vertices[:, :2], axis=0)
     px, py = printer.pixels_mm
-    joined = math.ceil(math.sqrt(max(width / px * height / py / _MOST_POINTS, 1.0)))
+    joined = math.ceil(math.sqrt(max(width / px * height / py / _MOST_PIXELS, 1.0)))
     return px * joined, py * joined
 
 
