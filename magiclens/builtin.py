@@ -78,8 +78,8 @@ def mlens_analyses() -> Sequence[Analysis]:
     from magiclens.analysis.surface import SURFACE
     from magiclens.analysis.warp import WARP
 
-    figures = [CONTACT_SHEET, STABLE_ZONE, WARP, SECRECY, PICTURE_ERROR, SURFACE, ANNEALING_EFFECT, OVERLAP]
-    return [*figures, IDEAL_PICTURE, SOURCE_CHANGES, LEAKS, AS_MADE]
+    figures = [AS_MADE, CONTACT_SHEET, STABLE_ZONE, WARP, SECRECY, PICTURE_ERROR, SURFACE, ANNEALING_EFFECT, OVERLAP]
+    return [*figures, IDEAL_PICTURE, SOURCE_CHANGES, LEAKS]
 
 
 @hookimpl

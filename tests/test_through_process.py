@@ -214,10 +214,9 @@ class TestLayers:
 
     def test_diffused_stairs_are_gone_after_a_blur(self) -> None:
         z, process = self.ramp(), LinearProcess(spread="0.15mm")
-        slopes = [
-            np.diff(process.of(layers_of(z, 0.025, slicing) * 0.025, (0.05, 0.05))[20:-20, 20:-20], axis=1) / 0.05  # type: ignore[arg-type]
-            for slicing in ("plain", "diffused")
-        ]
+        layers = [layers_of(z, 0.025, "plain"), layers_of(z, 0.025, "diffused")]
+        made = [process.of(each * 0.025, (0.05, 0.05))[20:-20, 20:-20] for each in layers]
+        slopes = [np.diff(each, axis=1) / 0.05 for each in made]
         plain, diffused = (float(np.sqrt(np.mean((s - 0.01) ** 2))) for s in slopes)
         assert diffused < plain / 4
 

@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from magiclens.analysis.base import Analysis, Findings
 from magiclens.contract.result import RunResult
+from magiclens.drawing.figure import Figure
+from magiclens.drawing.photographs import photograph, photographs
+from magiclens.drawing.tiles import Tile, to_pixels
 from magiclens.plan.compile import Plan
+
+_MOST_VIEWS = 8
+"""Most views in the figure; an animation has many more."""
 
 
 def _applies(plan: Plan) -> bool:
@@ -19,12 +25,32 @@ def _compute(plan: Plan, result: RunResult) -> Findings | None:
     if made is None:
         return None
     views = result.scene.views
-    names = [f"as-made-{view.name}" for view in views]
+    names = [_name(view.name) for view in views]
     return Findings(
         {"as_made_psnr_db": made.psnr_db, "fabrication_loss_db": made.loss_db},
         pictures=dict(zip(names, exposed(made.pictures, views), strict=True)),
     )
 
 
-AS_MADE = Analysis("as-made", _applies, _compute)
+def _figures(result: RunResult, findings: Findings) -> list[Figure]:
+    views = result.scene.views[:_MOST_VIEWS]
+    side = 400 if len(views) <= 4 else 280
+    meshes = next(iter(photographs(result).values()), None)
+    rows = []
+    for k, view in enumerate(views):
+        made = photograph(findings.pictures[_name(view.name)], view)
+        tiles = [(to_pixels(view.target, side), "Target", view.name)]
+        if meshes:
+            tiles.append((to_pixels(meshes[k].picture, side), "Through the mesh itself", meshes[k].caption))
+        tiles.append((to_pixels(made.picture, side), "As the machine makes it", made.caption))
+        rows.append([Tile(picture, title if k == 0 else "", caption) for picture, title, caption in tiles])
+    caption = "Hold this against your print: what cameras see of the lens as its machine makes it, simulated."
+    return [Figure("as-made", "What the made lens shows", rows, caption)]
+
+
+def _name(view: str) -> str:
+    return f"as-made-{view}"
+
+
+AS_MADE = Analysis("as-made", _applies, _compute, _figures)
 """The picture as the machine makes the lens."""

@@ -113,9 +113,14 @@ class WholeTop:
         side = (cells + 2 * self._margin) * self._times
         self._block = _block(lens, self._times)
         self.raster = MadeRaster(
-            left=-side / 2 * fine, top=side / 2 * fine, pitch=fine, first=self._margin * self._times,
-            block=self._block, blocks=cells * self._times // self._block, look_ups=_LOOK_UPS,
-        )  # fmt: skip
+            left=-side / 2 * fine,
+            top=side / 2 * fine,
+            pitch=fine,
+            first=self._margin * self._times,
+            block=self._block,
+            blocks=cells * self._times // self._block,
+            look_ups=_LOOK_UPS,
+        )
         self.pictures = pictures_of(scene, lens.microfacets * self._times // self._block)
         self._kept = process.kept(raster_wavenumbers((side,) * 2, (fine, fine))).astype(np.float32)
         waves = raster_wavenumbers((cells + 1,) * 2, (pitch, pitch))
@@ -139,7 +144,7 @@ class WholeTop:
         """(N, N, m + 1, m + 1) float64: the heights by facets."""
         n, m = self._lens.facets, self._lens.microfacets
         at = np.arange(n)[:, None] * m + np.arange(m + 1)
-        return heights[at[:, None, :, None], at[None, :, None, :]].astype(np.float64)
+        return np.asarray(heights[at[:, None, :, None], at[None, :, None, :]], np.float64)
 
     def descend(
         self, heights: FloatArray, blur_mm: float, steps: int, first_damping: float, progress: Callable[[float], None]

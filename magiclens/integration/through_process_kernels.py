@@ -14,10 +14,11 @@ from typing import NamedTuple
 import numpy as np
 
 from magiclens.contract.artifacts import FloatArray
-from magiclens.integration.refinement_kernels import land_by_slopes, target_at
+from magiclens.integration.refinement_kernels import Pictures, land_by_slopes, target_at
 from magiclens.kernels.compiler import njit
 from magiclens.kernels.threads import in_threads
 from magiclens.optics.eyes import project
+from magiclens.optics.medium import Optics
 
 _NEAR, _NEXT, _FAR = 3 / 4, -3 / 20, 1 / 60
 """Weights of the central difference of sixth order. What the process leaves is so smooth that it is exact."""
@@ -154,7 +155,9 @@ def _shown_part(part, z, raster, pictures, e, plane, aim, found):
                         gradients[bi, bj, first + c, ii, jj, 1] = gx * by[1, 0] + gy * by[1, 1]
 
 
-def shown(z, raster, pictures, optics, residuals, gradients) -> None:
+def shown(
+    z: FloatArray, raster: MadeRaster, pictures: Pictures, optics: Optics, residuals: FloatArray, gradients: FloatArray
+) -> None:
     """Fill in what a made surface shows, ``residual = display(mean light of a block's look-ups) - target``.
 
     Args:

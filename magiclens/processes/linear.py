@@ -70,7 +70,10 @@ class LinearProcess(BaseModel):
 
         z = np.asarray(heights, np.float64)
         if self.levelling == 0:  # a Gaussian alone is quicker beside it
-            return gaussian_filter(z, (self.spread / pitch_mm[1], self.spread / pitch_mm[0]), mode="nearest")
+            even: FloatArray = gaussian_filter(
+                z, (self.spread / pitch_mm[1], self.spread / pitch_mm[0]), mode="nearest"
+            )
+            return even
         spectrum = dctn(z, norm="ortho", workers=-1)
         spectrum *= self.kept(raster_wavenumbers(z.shape, pitch_mm))
         surface: FloatArray = idctn(spectrum, norm="ortho", workers=-1, overwrite_x=True)
@@ -88,4 +91,4 @@ def raster_wavenumbers(shape: tuple[int, ...], pitch_mm: tuple[float, float]) ->
         (rows, columns) float64.
     """
     down, right = (math.pi * np.arange(n) / (n * p) for n, p in zip(shape, pitch_mm[::-1], strict=True))
-    return np.hypot(down[:, None], right[None, :])
+    return np.asarray(np.hypot(down[:, None], right[None, :]))

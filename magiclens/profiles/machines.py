@@ -76,7 +76,8 @@ class Lacquer(BaseModel):
     def wavelength_mm(self) -> float:
         """See ``Lacquer``."""
         film_m = self.film / 1000
-        return 1000 * 2 * math.pi * (self.time * self.tension * film_m**3 / (3 * self.viscosity)) ** 0.25
+        fourth_power: float = self.time * self.tension * film_m**3 / (3 * self.viscosity)
+        return 1000 * 2 * math.pi * math.sqrt(math.sqrt(fourth_power))
 
 
 class Printer(Machine):
