@@ -14,7 +14,14 @@ from magiclens.images import score
 from magiclens.integration.poisson import Poisson
 from magiclens.integration.refinement import blurred
 from magiclens.integration.surface_metrics import facet_slopes_deg
-from magiclens.integration.through_process import WholeTop, extended, extended_transposed, limit_rises, refine_through
+from magiclens.integration.through_process import (
+    WholeTop,
+    can_be_held,
+    extended,
+    extended_transposed,
+    limit_rises,
+    refine_through,
+)
 from magiclens.integration.through_process_kernels import (
     MadeRaster,
     change_of_residuals,
@@ -159,6 +166,14 @@ class TestRefinement:
         assert np.array_equal(refined.heights_mm, refine_through(scene, start, PROCESS, silent).heights_mm)
         eye = replace(start, eye_mm=np.array([0.0, 0.0, 112.0]))
         assert Poisson.model_validate(options).refine(scene, eye).metrics["step_max_mm"] > 0
+
+    def test_a_process_that_hardly_rounds_is_left_to_single_facets(self) -> None:
+        large = replace(LENS, facets=150, size_mm=450.0, source_size_mm=450.0)
+        assert can_be_held(LENS, PROCESS)
+        assert not can_be_held(LENS, LinearProcess())
+        assert not can_be_held(large, PROCESS), "1800 vertices along a side are no raster for waves of 0.17 mm"
+        raw = Poisson.model_validate({"process": {}, "refinement": 1}).refine(a_scene(), a_surface())
+        assert raw.metrics["step_max_mm"] > 0
 
     def test_rises_are_limited_alike_on_both_sides(self) -> None:
         heights = np.zeros((6, 6), np.float32)

@@ -86,9 +86,10 @@ class Poisson(Integrator):
         if self.refinement == 0:
             return built
         if self.process and built.eye_mm is None:
-            from magiclens.integration.through_process import refine_through
+            from magiclens.integration.through_process import can_be_held, refine_through
 
-            return refine_through(scene, built, self.process, progress)
+            if can_be_held(scene.lens, self.process):
+                return refine_through(scene, built, self.process, progress)
         if self.step_limit is not None:
             return refine(scene, built, self.refinement, progress, locked=True)
         relevel = (

@@ -51,6 +51,8 @@ _LOOK_UPS = 3
 """Look-ups of the source along a cell's side. With 2, what lies between them is missed, which costs 0.4 dB."""
 _MOST_NODES = 1800
 """Most nodes along a side of the raster of the made surface."""
+_COARSEST = 1.2
+"""Widest pitch of that raster, relative to the one that holds all of the made surface."""
 _PIXEL_MM, _MOST_PIXELS = 0.15, 720
 """About the side of a pixel, which an eye at 0.4 m just resolves, and most pixels along the lens's side."""
 _FIRST_DAMPING = (0.3, 1.0, 4.0)
@@ -89,6 +91,16 @@ def refine_through(
         heights = top.descend(heights, blur_mm, steps, damping, tell)
     refined = replace(built, heights_mm=top.facets_of(heights))
     return replace(refined, metrics={**built.metrics, **surface_metrics(refined)})
+
+
+def can_be_held(lens: Lens, process: LinearProcess) -> bool:
+    """Whether the raster of a lens's made surface is fine enough for what the process leaves.
+
+    A machine that hardly rounds anything leaves edges that no raster of a size that can be computed would see; its
+    lenses are better refined facet by facet.
+    """
+    cells, pitch = lens.facets * lens.microfacets, lens.pitch_mm / lens.microfacets
+    return pitch / _times(cells, pitch, process) <= _COARSEST * process.finest_mm
 
 
 class WholeTop:
@@ -225,6 +237,8 @@ class WholeTop:
             left -= length * image
             eased = self._eased(left)
             before, size = size, _dot(left, eased)
+            if size == 0.0:
+                break
             turn = np.float32(size / before)
             direction, unpreconditioned = eased + turn * direction, left + turn * unpreconditioned
         return x

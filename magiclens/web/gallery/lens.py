@@ -126,9 +126,11 @@ def lens_page(entry: GalleryEntry, folder: Path, viewer: str, album: Album, quic
     """
     manifest = verified(folder).manifest
     shown = _chosen(entry, manifest["views"])
-    photo = next(iter(shown["renders"].values()), shown["target"])
-    card = [album.shrunk(folder / path, entry.name, _CARD_WIDTH, "") for path in (shown["source"], photo)]
     paths = [artifact["path"] for artifact in manifest["artifacts"]]
+    # what a print shows, if a machine was simulated: the mesh of a lens that makes up for its printer shows less
+    made = f"figures/as-made-{shown['name']}.png"
+    photo = made if made in paths else next(iter(shown["renders"].values()), shown["target"])
+    card = [album.shrunk(folder / path, entry.name, _CARD_WIDTH, "") for path in (shown["source"], photo)]
     return LensPage(
         entry,
         manifest,
