@@ -11,6 +11,7 @@ from magiclens.contract.artifacts import FloatArray, HeightField, Lens, Scene, V
 from magiclens.contract.stages import silent
 from magiclens.geometry.solid import solid_from_heights
 from magiclens.images import score
+from magiclens.integration.limits import limit_rises
 from magiclens.integration.poisson import Poisson
 from magiclens.integration.refinement import blurred
 from magiclens.integration.surface_metrics import facet_slopes_deg
@@ -19,7 +20,6 @@ from magiclens.integration.through_process import (
     can_be_held,
     extended,
     extended_transposed,
-    limit_rises,
     refine_through,
 )
 from magiclens.integration.through_process_kernels import (

@@ -6,7 +6,7 @@ from magiclens.analysis.base import Analysis, Findings
 from magiclens.contract.result import RunResult
 from magiclens.drawing.figure import Figure
 from magiclens.drawing.photographs import photograph, photographs
-from magiclens.drawing.tiles import Tile, to_pixels
+from magiclens.drawing.tiles import side_of_tiles, titled_rows, to_pixels
 from magiclens.plan.compile import Plan
 
 _MOST_VIEWS = 8
@@ -25,7 +25,7 @@ def _compute(plan: Plan, result: RunResult) -> Findings | None:
     if made is None:
         return None
     views = result.scene.views
-    names = [_name(view.name) for view in views]
+    names = [made_picture(view.name) for view in views]
     return Findings(
         {"as_made_psnr_db": made.psnr_db, "fabrication_loss_db": made.loss_db},
         pictures=dict(zip(names, exposed(made.pictures, views), strict=True)),
@@ -34,21 +34,19 @@ def _compute(plan: Plan, result: RunResult) -> Findings | None:
 
 def _figures(result: RunResult, findings: Findings) -> list[Figure]:
     views = result.scene.views[:_MOST_VIEWS]
-    side = 400 if len(views) <= 4 else 280
-    meshes = next(iter(photographs(result).values()), None)
+    side, meshes = side_of_tiles(len(views)), next(iter(photographs(result).values()), None)
+    titles = ["Target", *(["Through the mesh itself"] if meshes else []), "As the machine makes it"]
     rows = []
     for k, view in enumerate(views):
-        made = photograph(findings.pictures[_name(view.name)], view)
-        tiles = [(to_pixels(view.target, side), "Target", view.name)]
-        if meshes:
-            tiles.append((to_pixels(meshes[k].picture, side), "Through the mesh itself", meshes[k].caption))
-        tiles.append((to_pixels(made.picture, side), "As the machine makes it", made.caption))
-        rows.append([Tile(picture, title if k == 0 else "", caption) for picture, title, caption in tiles])
+        photos = [*([meshes[k]] if meshes else []), photograph(findings.pictures[made_picture(view.name)], view)]
+        seen = [(to_pixels(photo.picture, side), photo.caption) for photo in photos]
+        rows.append([(to_pixels(view.target, side), view.name), *seen])
     caption = "Hold this against your print: what cameras see of the lens as its machine makes it, simulated."
-    return [Figure("as-made", "What the made lens shows", rows, caption)]
+    return [Figure("as-made", "What the made lens shows", titled_rows(titles, rows), caption)]
 
 
-def _name(view: str) -> str:
+def made_picture(view: str) -> str:
+    """Name of the picture of a view, without its ending, that is found in ``figures/``."""
     return f"as-made-{view}"
 
 

@@ -10,7 +10,7 @@ from magiclens.contract.result import RunResult
 from magiclens.drawing.figure import Figure
 from magiclens.drawing.photographs import photographs
 from magiclens.drawing.scales import Pixels
-from magiclens.drawing.tiles import Tile, to_pixels
+from magiclens.drawing.tiles import side_of_tiles, titled_rows, to_pixels
 
 MARK = (232, 89, 12)
 """Orange of the mark on the lens."""
@@ -19,21 +19,21 @@ MARK = (232, 89, 12)
 def contact_sheet(result: RunResult) -> Figure:
     """One row per view: source, target and every renderer's photograph with its scores."""
     views, seen = result.scene.views, photographs(result)
-    side = 400 if len(views) <= 4 else 280
+    side = side_of_tiles(len(views))
     sources = {view.source_name: to_pixels(view.source, side) for view in views}
     turned = any(view.quarter_turns for view in views)
     titles = ["Source", "Target", *(f"Through the lens ({name})" for name in seen)]
-    rows, blank = [], [""] * len(titles)
+    rows = []
     for k, view in enumerate(views):
         source = sources[view.source_name]
         pictures = [marked(source, result.scene.lens, view) if turned else source, to_pixels(view.target, side)]
         pictures += [to_pixels(photos[k].picture, side) for photos in seen.values()]
         placement = view_placement(view, result.scene.lens, turned)
         captions = [placement, view.name, *(photos[k].caption for photos in seen.values())]
-        rows.append([Tile(*parts) for parts in zip(pictures, titles if k == 0 else blank, captions, strict=True)])
+        rows.append(list(zip(pictures, captions, strict=True)))
     mark = " The orange corner of the lens shows how it is turned." if turned else ""
     caption = f"One view in each row: what lies under the lens, what it shall show, what simulated cameras see.{mark}"
-    return Figure("contact-sheet", "What the lens shows", rows, caption)
+    return Figure("contact-sheet", "What the lens shows", titled_rows(titles, rows), caption)
 
 
 def view_placement(view: View, lens: Lens, turned: bool) -> str:

@@ -29,7 +29,7 @@ def results_folder() -> Path:
 def most_bytes() -> int:
     """How many bytes results may take; 0 if none are to be kept. Raises InputError if the variable is no size."""
     text = os.environ.get(SIZE_VARIABLE) or _USUAL_SIZE
-    return 0 if text.strip() == "0" else size_in_bytes(text, SIZE_VARIABLE)
+    return size_in_bytes(text, SIZE_VARIABLE)
 
 
 def keep_nothing() -> None:
@@ -38,7 +38,9 @@ def keep_nothing() -> None:
 
 
 def size_in_bytes(text: str, where: str) -> int:
-    """Bytes of a size such as 500MB. Raises InputError, which names ``where``, if it is none."""
+    """Bytes of a size such as 500MB, or 0. Raises InputError, which names ``where``, if it is none."""
+    if text.strip() == "0":
+        return 0
     found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kMGT]?B)\s*", text)
     if not found:
         raise InputError(f"'{text}' is no size; write one such as 500MB or 20GB", where)

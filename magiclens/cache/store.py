@@ -203,7 +203,7 @@ class Cache:
                         self._checked_arrays(entry)
             for kept in self._kept(_FILES):
                 with suppress(OSError):
-                    if _hash(kept.path) != kept.path.name:
+                    if file_digest(kept.path) != kept.path.name:
                         self._drop(kept.path, "a file")
         finally:
             self._say = before
@@ -254,9 +254,9 @@ class Cache:
 
     def _keep_file(self, path: Path) -> str:
         """Keep a copy of a file unless there is a sound one; its hash."""
-        found = _hash(path)
+        found = file_digest(path)
         kept = self._file_path(found)
-        if kept.is_file() and _hash(kept) == found:
+        if kept.is_file() and file_digest(kept) == found:
             _use(kept)
         else:
             with self._replacing(kept) as partly:
@@ -341,24 +341,17 @@ def _content(entry: Entry, arrays: Mapping[str, NDArray[Any]]) -> str:
     return digest_of([{**vars(entry), "content": ""}, {name: array_digest(array) for name, array in arrays.items()}])
 
 
-def _blocks(path: Path) -> Iterable[bytes]:
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file."""
     with path.open("rb") as stream:
-        while block := stream.read(_BLOCK):
-            yield block
-
-
-def _hash(path: Path) -> str:
-    found = hashlib.sha256()
-    for block in _blocks(path):
-        found.update(block)
-    return found.hexdigest()
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _copy(source: Path, target: Path) -> str:
     """Copy a file; the hash of what was copied."""
     found = hashlib.sha256()
-    with target.open("wb") as stream:
-        for block in _blocks(source):
+    with source.open("rb") as given, target.open("wb") as stream:
+        while block := given.read(_BLOCK):
             found.update(block)
             stream.write(block)
     return found.hexdigest()

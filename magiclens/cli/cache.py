@@ -47,7 +47,7 @@ def cache_command(
         if action is CacheAction.ls:
             print_result(lambda: _list_text(cache), lambda: _list_data(cache), as_json=as_json)
         elif action is CacheAction.gc:
-            wanted = None if size is None else 0 if size.strip() == "0" else size_in_bytes(size, "--size")
+            wanted = None if size is None else size_in_bytes(size, "--size")
             freed = sum(kept.size_bytes for kept in cache.make_room(wanted))
             print_result(
                 lambda: _room_text(cache, freed), lambda: {"freed_bytes": freed, **_sizes(cache)}, as_json=as_json

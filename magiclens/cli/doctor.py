@@ -170,23 +170,25 @@ def _kernel_cache() -> Diagnosis:
     """Whether compiled kernels can be kept; else they are compiled for every run."""
     from magiclens.kernels.cache_folder import VARIABLE, caches_folder
 
-    folder, name = caches_folder(), "compiled kernels"
-    if _writable(folder):
-        return Diagnosis(name, "ok", str(folder))
     advice = f"every run compiles for a minute: set {VARIABLE} to a folder that can be written"
-    return Diagnosis(name, "broken", f"cannot write in {folder}", False, advice)
+    return _folder_of("compiled kernels", caches_folder(), advice)
 
 
 def _kept_results() -> Diagnosis:
     """Whether results of runs can be kept; else every run does everything."""
     from magiclens.cache.folder import FOLDER_VARIABLE, SIZE_VARIABLE, results_folder
 
-    folder, name = results_folder(), "kept results"
+    name = "kept results"
     if os.environ.get(SIZE_VARIABLE, "").strip() == "0":
         return Diagnosis(name, "ok", f"none: {SIZE_VARIABLE} is 0")
+    advice = f"every run does everything: set {FOLDER_VARIABLE} to a folder that can be written"
+    return _folder_of(name, results_folder(), advice)
+
+
+def _folder_of(name: str, folder: Path, advice: str) -> Diagnosis:
+    """Whether the folder of something that runs keep can be written."""
     if _writable(folder):
         return Diagnosis(name, "ok", str(folder))
-    advice = f"every run does everything: set {FOLDER_VARIABLE} to a folder that can be written"
     return Diagnosis(name, "broken", f"cannot write in {folder}", False, advice)
 
 

@@ -10,7 +10,6 @@ from magiclens.config.checker import Checker
 from magiclens.config.document import Document
 from magiclens.config.model import Choice, LensSpec
 from magiclens.config.suggest import advice, unknown
-from magiclens.contract.artifacts import Lens
 from magiclens.contract.units import ANGLE, LENGTH
 from magiclens.profiles.machines import Machine, Mill, Printer, Profile, machines
 
@@ -44,17 +43,14 @@ class Fabrication:
 
         Args:
             scenarios: Stages that suit the scenario, by kind.
-            lens: The lens. Mills get a step limit that follows from its walls; printers, whose lens is one surface of
-                vertical cells, get their process, through which that is refined.
+            lens: The lens, on which some options of integrators depend, see ``Machine.integrator``.
 
         Returns:
             Types and options of stages, by kind.
         """
         own = {kind: dict(usual) for kind, usual in self.profile.stages.items()}
-        if isinstance(self.machine, Mill) and "integrator" in own:
-            own["integrator"]["step_limit"] = LENGTH.text(round(self.machine.step_mm(lens.wall), 4))
-        if isinstance(self.machine, Printer) and "integrator" in own and lens.cells == "vertical":
-            own["integrator"]["process"] = self.machine.linear_process.model_dump(mode="json")
+        if "integrator" in own:
+            own["integrator"] |= self.machine.integrator(lens.wall, lens.cells)
         both: dict[str, Choice] = {**own, **scenarios}
         # options of the machine hold even if the scenario chose the stage, such as the step limit of mills
         for kind, usual in own.items():
@@ -65,18 +61,6 @@ class Fabrication:
     def resolved(self) -> dict[str, Any]:
         """The mapping at the key ``fabrication`` with every option."""
         return {_KEY: self.name, **self.machine.model_dump(mode="json", exclude_none=True)}
-
-    def rim_mm(self, lens: Lens, distance_mm: float) -> float:
-        """How far the top must go on beyond the lens's square, so that its rim shows no frame.
-
-        Args:
-            lens: The lens.
-            distance_mm: From the reference plane to the eye.
-        """
-        if not isinstance(self.machine, Printer):
-            return 0.0
-        # the machine rounds the body's edge off, and the eye looks past the edge of facets that are low
-        return self.machine.linear_process.reach_mm + lens.relief_mm * lens.size_mm / 2 / distance_mm
 
     def objections(self, lens: LensSpec) -> Iterator[tuple[str, str]]:
         """What the machine cannot make.

@@ -63,28 +63,30 @@ def json_schema(scenarios: _Classes, stages: Mapping[str, _Classes], art: Iterab
 
 def _definition(noun: str, type_: str, cls: type[BaseModel]) -> dict[str, Any]:
     """The options of one class and the ``type`` that picks it, its own definitions inside."""
-    # inside, since classes of different plugins may use models of the same name
-    template = f"{_REF}{noun}-{type_}/definitions/{{model}}"
     try:
-        schema = cls.model_json_schema(ref_template=template, schema_generator=Draft7)
+        schema = _self_contained(f"{noun}-{type_}", cls)
     except PydanticInvalidForJsonSchema:  # an option of a plugin has a type that JSON does not have
-        schema = {"type": "object"}
+        schema = {"type": "object", "definitions": {}}
     return {
         **schema,
         "properties": {"type": {"const": type_}, **schema.get("properties", {})},
         "required": [*([] if noun in _SINGLE_STAGES else ["type"]), *schema.get("required", [])],
-        "definitions": schema.get("$defs", {}),
     }
+
+
+def _self_contained(name: str, model: type[BaseModel]) -> dict[str, Any]:
+    """The schema of a model that will be the definition of this name, its own definitions inside."""
+    # inside, since classes of different plugins may use models of the same name
+    schema = model.model_json_schema(ref_template=f"{_REF}{name}/definitions/{{model}}", schema_generator=Draft7)
+    return {**schema, "definitions": schema.get("$defs", {})}
 
 
 def _machine(process: str, model: type[BaseModel]) -> dict[str, Any]:
     """The options of the machines of one process, and their names."""
-    template = f"{_REF}machine-{process}/definitions/{{model}}"
-    schema = model.model_json_schema(ref_template=template, schema_generator=Draft7)
-    inside = {"definitions": schema.get("$defs", {})}
+    schema = _self_contained(f"machine-{process}", model)
     names = [name for name, profile in machines().items() if profile.process == process]
     properties = {"machine": {"enum": names}, **schema["properties"]}
-    return {**schema, "properties": properties, "required": ["machine"], **inside}
+    return {**schema, "properties": properties, "required": ["machine"]}
 
 
 def _one_of(noun: str, classes: _Classes) -> dict[str, Any]:

@@ -60,6 +60,28 @@ def wrap_tiles(tiles: Sequence[Tile]) -> list[Sequence[Tile]]:
     return [tiles[k : k + columns] for k in range(0, len(tiles), columns)]
 
 
+def side_of_tiles(rows: int) -> int:
+    """Pixels along the side of pictures that are compared in so many rows."""
+    return 400 if rows <= 4 else 280
+
+
+def titled_rows(titles: Sequence[str], rows: Sequence[Sequence[tuple[Pixels, str]]]) -> list[list[Tile]]:
+    """Rows of pictures with captions below them; the titles of the columns stand above the first row.
+
+    Args:
+        titles: One for each column.
+        rows: Pictures (H, W, 3) with their captions.
+    """
+    blank = [""] * len(titles)
+    return [
+        [
+            Tile(picture, title, caption)
+            for title, (picture, caption) in zip(titles if k == 0 else blank, row, strict=True)
+        ]
+        for k, row in enumerate(rows)
+    ]
+
+
 def to_pixels(linear: FloatArray, side: int) -> Pixels:
     """Display values (side, side, 3) of a picture (H, W, C) in linear light; one channel becomes grey."""
     values = np.rint(to_display(resize(linear, (side, side))) * 255).astype(np.uint8)

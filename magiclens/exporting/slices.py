@@ -48,14 +48,13 @@ class Slices(Exporter):
 
         With error diffusion, what overhangs is filled down to the bottom: a column of voxels has one height.
         """
-        from magiclens.exporting.voxels import VoxelGrid, diffused_layers, layers
+        from magiclens.exporting.voxels import VoxelGrid, layers
 
         grid = VoxelGrid.around(solid, (25.4 / self.dpi_x, 25.4 / self.dpi_y), self.layer)
         self._check(grid)
-        stack = layers(solid, grid) if self.slicing == "plain" else diffused_layers(solid, grid)
         filled = 0  # number of voxels
         with ZipFile(path, "w") as archive:
-            for k, (bitmap, changed) in enumerate(stack):
+            for k, (bitmap, changed) in enumerate(layers(solid, grid, self.slicing)):
                 if changed or k == 0:  # layers that are alike are compressed once
                     png = self._png(bitmap, grid)
                     inside = int(np.bitwise_count(bitmap).sum(dtype=np.int64))

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from magiclens.contract.artifacts import FloatArray, IntArray, Solid
 from magiclens.exporting.voxels_kernels import RowedMesh, VoxelCentres, flip, sort_crossings
 from magiclens.geometry.columns import rows_at
+from magiclens.processes.layers import Slicing, layers_of
 
 Bitmap = NDArray[np.uint8]
 """(rows, ceil(columns / 8)) uint8: eight voxels to a byte, the left one in the highest bit."""
@@ -64,37 +65,37 @@ class VoxelGrid:
         return self.first_mm[1] - np.arange(self.shape[1]) * self.pixel_mm[1]
 
 
-def layers(solid: Solid, grid: VoxelGrid) -> Iterator[tuple[Bitmap, bool]]:
+def layers(solid: Solid, grid: VoxelGrid, slicing: Slicing = "plain") -> Iterator[tuple[Bitmap, bool]]:
     """Every layer from the lowest up, and whether it differs from the one before.
 
     All layers share their memory: use one before asking for the next.
+
+    Args:
+        solid: The solid.
+        grid: Where its voxels are.
+        slicing: Whether voxels are filled if their centres lie in the solid, or the heights of columns are rounded by
+            error diffusion; then what overhangs is filled down to the bottom.
     """
-    starts, places = _crossings(solid, grid)
+    starts, places = _crossings(solid, grid) if slicing == "plain" else _diffused(solid, grid)
     bitmap = np.zeros((grid.shape[1], -(-grid.shape[2] // 8)), np.uint8)
     for start, end in pairwise(starts):
         flip(bitmap, places[start:end], grid.shape[2])
         yield bitmap, bool(end > start)
 
 
-def diffused_layers(solid: Solid, grid: VoxelGrid) -> Iterator[tuple[Bitmap, bool]]:
-    """The same for columns whose heights are rounded to layers by error diffusion, see ``processes.layers``."""
+def _diffused(solid: Solid, grid: VoxelGrid) -> tuple[IntArray, IntArray]:
+    """The same as ``_crossings`` for columns whose heights are rounded by error diffusion."""
     from magiclens.geometry.columns import top_heights
-    from magiclens.processes.layers import layers_of
 
     floor = grid.first_mm[2] - grid.layer_mm / 2
     heights = np.nan_to_num(top_heights(solid, grid.columns_mm(), grid.rows_mm()) - floor, nan=0.0)
-    count = layers_of(heights, grid.layer_mm, "diffused")
     # diffusion may put a column one layer above the solid's highest point; there is no layer for it
-    ends = np.minimum(count, grid.shape[0]).ravel()
+    ends = np.minimum(layers_of(heights, grid.layer_mm, "diffused"), grid.shape[0]).ravel()
     order = np.argsort(ends, kind="stable").astype(np.int32)
-    starts = np.searchsorted(ends[order], np.arange(grid.shape[0] + 1), "right")
-    bitmap = np.zeros((grid.shape[1], -(-grid.shape[2] // 8)), np.uint8)
-    flip(bitmap, order[starts[0] :], grid.shape[2])
-    changed = True
-    for start, end in pairwise(starts):
-        yield bitmap, changed
-        flip(bitmap, order[start:end], grid.shape[2])
-        changed = bool(end > start)
+    below = np.searchsorted(ends[order], np.arange(grid.shape[0]), "right")  # columns that end below each layer
+    # columns that are not empty begin in the lowest layer; each then ends in the layer above its last
+    places = np.concatenate([order[below[0] :], order[below[0] : below[-1]]])
+    return np.concatenate([[0], len(order) - below[0] + below - below[0]]), places
 
 
 def _crossings(solid: Solid, grid: VoxelGrid) -> tuple[IntArray, IntArray]:

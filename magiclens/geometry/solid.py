@@ -85,10 +85,25 @@ def height_grid(heights: HeightField) -> FloatArray:
     lens = heights.lens
     beyond = lens.bleed_mm + lens.wall_mm / 2 if lens.bleed_mm else 0.0
     onward = beyond / (lens.pitch_mm - lens.wall_mm) * lens.microfacets  # in micro-facets
+    whole = carried_on(inner, np.array([onward]))
+    return np.clip(whole, -lens.relief_mm, lens.relief_mm) if lens.bleed_mm else whole
+
+
+def carried_on(grid: FloatArray, onward: FloatArray) -> FloatArray:
+    """A grid of heights that goes on beyond its border with the slope of its outermost cells.
+
+    Args:
+        grid: (rows, columns) mm, at least two of each.
+        onward: (B,) descending, how many cells beyond the border the new lines lie.
+
+    Returns:
+        (rows + 2 B, columns + 2 B) mm.
+    """
+    far = onward[:, None]
     for _ in range(2):  # rows first, then columns
-        first, last = inner[:1] - onward * (inner[1:2] - inner[:1]), inner[-1:] + onward * (inner[-1:] - inner[-2:-1])
-        inner = np.concatenate([first, inner, last]).T
-    return np.clip(inner, -lens.relief_mm, lens.relief_mm) if lens.bleed_mm else inner
+        first, last = grid[:1] - far * (grid[1:2] - grid[:1]), grid[-1:] + far[::-1] * (grid[-1:] - grid[-2:-1])
+        grid = np.concatenate([first, grid, last]).T
+    return grid
 
 
 def heights_of(solid: Solid, lens: Lens) -> FloatArray | None:

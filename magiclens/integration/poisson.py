@@ -13,15 +13,12 @@ from magiclens.contract.artifacts import Assignment, FloatArray, HeightField, Sc
 from magiclens.contract.stages import Integrator, Progress, silent
 from magiclens.contract.units import Length
 from magiclens.integration.laplacian import cosines, divergence
+from magiclens.integration.limits import limit_steps
 from magiclens.integration.surface_metrics import surface_metrics
 from magiclens.processes.linear import LinearProcess
 
 _SETTLING = 3
 """Rounds after which `light` placement keeps its levels: its energy has kinks, at which it would oscillate."""
-_PASSES = 500
-"""Passes over all walls, at most, that limit the steps."""
-_ENOUGH_MM = 1e-6
-"""Excess of a step over its limit that is not worth another pass, mm."""
 
 
 class Poisson(Integrator):
@@ -117,43 +114,3 @@ def lenslets(rows: FloatArray, columns: FloatArray) -> FloatArray:
     spectrum = matrix @ divergence(rows, columns) @ matrix.T
     spectrum /= np.where(eigenvalues > 0, eigenvalues, np.inf)  # the mean has no slope: it is zero
     return matrix.T @ spectrum @ matrix
-
-
-def limit_steps(heights: FloatArray, limit: float) -> FloatArray:
-    """Heights of which no step across a wall exceeds a limit, for tools that cannot cut steep walls.
-
-    What a step has in excess is taken from the border vertices on both sides alike, so that only the outermost
-    micro-facets next to too high a step change their slope. Corner vertices have two steps each: passes alternate.
-
-    Args:
-        heights: (N, N, k, k) mm.
-        limit: largest step that is left, mm.
-
-    Returns:
-        (N, N, k, k) heights, mm.
-    """
-    h = heights.copy()
-    for _ in range(_PASSES):
-        # slightly below the limit: what the last pass leaves is then still within it
-        excess = max(
-            _share(h[:, :-1, :, -1], h[:, 1:, :, 0], limit - _ENOUGH_MM),
-            _share(h[:-1, :, -1, :], h[1:, :, 0, :], limit - _ENOUGH_MM),
-        )
-        if excess <= _ENOUGH_MM:
-            break
-    return h
-
-
-def _share(one: FloatArray, other: FloatArray, limit: float) -> float:
-    """Take the excess of the steps between facing border vertices from both, in place; returns the largest, mm.
-
-    Args:
-        one: heights of border vertices, mm; a view into all heights.
-        other: heights of the vertices across the wall, mm, of the same shape; such a view too.
-        limit: largest step that is left, mm.
-    """
-    step = one - other
-    excess = np.sign(step) * np.maximum(np.abs(step) - limit, 0.0)
-    one -= 0.5 * excess
-    other += 0.5 * excess
-    return float(np.abs(excess).max(initial=0.0))

@@ -22,11 +22,11 @@ from magiclens.kernels.threads import in_threads
 from magiclens.optics.eyes import land, project, surface_point
 from magiclens.optics.medium import Optics
 
-_SLOPE_STEP = 1e-4
+SLOPE_STEP = 1e-4
 """Change of a triangle's slope over which derivatives are taken by finite differences."""
 _SPAN_STEP_MM = 0.02
 """Way over a triangle, mm, over which derivatives are taken by finite differences."""
-_LIGHT_STEP = 20
+LIGHT_STEP = 20
 """Entries of the display table on each side over which its slope is taken: near black it is steep."""
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 0.1, 1e-4, 1e2
 """Damping of the Gauss-Newton steps, relative to the mean square of the gradients: the first, the least, the most."""
@@ -232,9 +232,9 @@ def _aim(heights, slopes, centre, eye, samples, optics, derive, rays):
         rays.landing[t, 0], rays.landing[t, 1] = x, y
         for k in range(4 if derive else 0):
             du, dv = (_SPAN_STEP_MM if k == 2 else 0.0), (_SPAN_STEP_MM if k == 3 else 0.0)
-            da, db = (_SLOPE_STEP if k == 0 else 0.0), (_SLOPE_STEP if k == 1 else 0.0)
+            da, db = (SLOPE_STEP if k == 0 else 0.0), (SLOPE_STEP if k == 1 else 0.0)
             ax, ay, good = land_by_slopes(u + du, v + dv, h + a * du + b * dv, a + da, b + db, eye, optics)
-            step = _SLOPE_STEP if k < 2 else _SPAN_STEP_MM
+            step = SLOPE_STEP if k < 2 else _SPAN_STEP_MM
             out = rays.by_slope[t, k] if k < 2 else rays.by_position[t, k - 2]
             # where the neighbouring ray does not arrive, nothing is known: no change is expected
             out[0] = (ax - x) / step if good else 0.0
@@ -347,7 +347,7 @@ def predict_facet(heights, centre, samples, pictures, optics, derive, rays, show
                 # residuals hold the targets until here, and light holds the display curve's slope from here on
                 at = min(int(light[p, c] * each * last + 0.5), last)
                 residuals[p, c] = pictures.display[at] - residuals[p, c] if seen else 0.0
-                lo, hi = max(at - _LIGHT_STEP, 0), min(at + _LIGHT_STEP, last)
+                lo, hi = max(at - LIGHT_STEP, 0), min(at + LIGHT_STEP, last)
                 slope = (pictures.display[hi] - pictures.display[lo]) * last / (hi - lo)
                 light[p, c] = slope * each if seen else 0.0
                 total += residuals[p, c] ** 2

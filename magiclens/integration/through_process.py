@@ -20,7 +20,9 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from magiclens.contract.artifacts import FloatArray, HeightField, Lens, Scene
-from magiclens.integration.refinement import blurred, pictures_of
+from magiclens.geometry.solid import carried_on
+from magiclens.integration.limits import limit_rises
+from magiclens.integration.refinement import blurred, optics_for, pictures_of
 from magiclens.integration.refinement_kernels import Pictures
 from magiclens.integration.surface_metrics import surface_metrics
 from magiclens.integration.through_process_kernels import (
@@ -34,8 +36,7 @@ from magiclens.integration.through_process_kernels import (
     raster_slopes_transposed,
     shown,
 )
-from magiclens.optics.medium import Cut, optics_of
-from magiclens.processes.linear import LinearProcess, raster_wavenumbers
+from magiclens.processes.linear import LinearProcess, filtered, raster_wavenumbers
 
 _BLURS_MM = (0.25, 0.1, 0.0)
 """Blurs of the sources, one after the other. A blurred edge has a gradient even far away from it."""
@@ -63,8 +64,6 @@ _NEIGHBOURHOOD = 7
 """Pixels along the side of the squares in which it is judged whether a step has helped."""
 _LEAST_PULL = 1e-6
 """Pull on the unknowns themselves, relative to the mean square of the gradients; it keeps the systems definite."""
-_PASSES = 60
-"""Passes over the grid, at most, that bring slopes below their limit."""
 
 
 def refine_through(
@@ -117,7 +116,7 @@ class WholeTop:
 
     def __init__(self, scene: Scene, built: HeightField, process: LinearProcess):
         lens = scene.lens
-        self._lens, self._optics = lens, optics_of(lens, Cut(np.zeros(3), True))
+        self._lens, self._optics = lens, optics_for(built)
         cells, pitch = lens.facets * lens.microfacets, lens.pitch_mm / lens.microfacets
         self._times = _times(cells, pitch, process)
         self._margin = _margin(cells, self._times, math.ceil(process.reach_mm / pitch) + SLOPE_REACH)
@@ -138,7 +137,6 @@ class WholeTop:
         waves = raster_wavenumbers((cells + 1,) * 2, (pitch, pitch))
         self._smooth = (1 / (1 + (_SMOOTH_MM * waves) ** 2)).astype(np.float32)
         blocks, channels, nodes = self.raster.blocks, self.pictures.targets.shape[2], self._block + 1
-        self._residuals = np.zeros((blocks, blocks, channels), np.float32)
         self.gradients = np.zeros((blocks, blocks, channels, nodes, nodes, 2), np.float32)
 
     def heights_of(self, built: HeightField) -> FloatArray:
@@ -202,7 +200,7 @@ class WholeTop:
     def show(self, heights: FloatArray, pictures: Pictures) -> FloatArray:
         """(B, B, C) residuals of the made surface; its gradients are kept."""
         z = self.made(heights) + np.float32(self._lens.thickness_mm)
-        residuals = np.zeros_like(self._residuals)
+        residuals = np.zeros(self.gradients.shape[:3], np.float32)
         shown(z, self.raster, pictures, self._optics, residuals, self.gradients)
         return residuals
 
@@ -248,16 +246,16 @@ class WholeTop:
 
     def made(self, heights: FloatArray) -> FloatArray:
         """(R, R) the surface that the process leaves, mm above the reference plane."""
-        return _filtered(finer(extended(heights, self._margin), self._times), self._kept)
+        return filtered(finer(extended(heights, self._margin), self._times), self._kept)
 
     def _pulled_back(self, forces: FloatArray) -> FloatArray:
         """(G, G) forces on heights, of forces (2, R, R) on slopes of the made surface."""
-        raster = _filtered(raster_slopes_transposed(forces, self.raster.pitch), self._kept)
+        raster = filtered(raster_slopes_transposed(forces, self.raster.pitch), self._kept)
         return extended_transposed(finer_transposed(raster, self._times), self._margin)
 
     def _eased(self, forces: FloatArray) -> FloatArray:
         """(G, G) S times forces on heights."""
-        return _filtered(forces, self._smooth)
+        return filtered(forces, self._smooth)
 
     def _allowed(self, heights: FloatArray) -> FloatArray:
         """The heights, within relief and slope limit."""
@@ -265,25 +263,6 @@ class WholeTop:
         # both rises of a triangle count, hence the root; a little is left for rounding
         rise = 0.999 * math.tan(math.radians(lens.max_slope_deg)) / math.sqrt(2) * lens.pitch_mm / lens.microfacets
         return limit_rises(np.clip(heights, -lens.relief_mm, lens.relief_mm).astype(np.float32), rise)
-
-
-def limit_rises(heights: FloatArray, limit: float) -> FloatArray:
-    """Heights (G, G), mm, of which neighbours differ by no more than a limit; excess is taken from both alike."""
-    h = np.array(heights)
-    for _ in range(_PASSES):
-        worst = 0.0
-        for along in (h, h.T):
-            # even and odd pairs in turn, so that no vertex is moved twice at once
-            for first in (0, 1):
-                one, other = along[first:-1:2], along[first + 1 :: 2]
-                step = one - other
-                excess = np.sign(step) * np.maximum(np.abs(step) - np.float32(limit), 0)
-                worst = max(worst, float(np.abs(excess).max(initial=0.0)))
-                one -= excess / 2
-                other += excess / 2
-        if worst < 1e-4 * limit:
-            break
-    return h
 
 
 def _times(cells: int, pitch: float, process: LinearProcess) -> int:
@@ -310,13 +289,8 @@ def _block(lens: Lens, times: int) -> int:
 
 
 def extended(heights: FloatArray, margin: int) -> FloatArray:
-    """Heights that go on beyond the lens's square with the slope at its border, as ``geometry.solid`` does."""
-    beyond = np.arange(margin, 0, -1, dtype=np.float32)[:, None]
-    for _ in range(2):  # rows first, then columns
-        before = heights[:1] - beyond * (heights[1:2] - heights[:1])
-        after = heights[-1:] + beyond[::-1] * (heights[-1:] - heights[-2:-1])
-        heights = np.concatenate([before, heights, after]).T
-    return np.ascontiguousarray(heights)
+    """Heights (G, G) that go on beyond the lens's square by so many cells, as the solid does; (G + 2 margin, ...)."""
+    return np.ascontiguousarray(carried_on(heights, np.arange(margin, 0, -1, dtype=np.float32)))
 
 
 def extended_transposed(forces: FloatArray, margin: int) -> FloatArray:
@@ -330,16 +304,6 @@ def extended_transposed(forces: FloatArray, margin: int) -> FloatArray:
         inner[-2] -= (after * beyond[::-1]).sum(axis=0)
         forces = inner.T
     return np.ascontiguousarray(forces)
-
-
-def _filtered(raster: FloatArray, factors: FloatArray) -> FloatArray:
-    """A raster whose waves are multiplied by factors of the same shape; it is mirrored at its borders."""
-    from scipy.fft import dctn, idctn
-
-    spectrum = dctn(raster, norm="ortho", workers=-1)
-    spectrum *= factors
-    filtered: FloatArray = idctn(spectrum, norm="ortho", workers=-1, overwrite_x=True)
-    return filtered
 
 
 def _mean_square(residuals: FloatArray) -> float:

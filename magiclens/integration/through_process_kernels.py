@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magiclens.contract.artifacts import FloatArray
-from magiclens.integration.refinement_kernels import Pictures, land_by_slopes, target_at
+from magiclens.integration.refinement_kernels import LIGHT_STEP, SLOPE_STEP, Pictures, land_by_slopes, target_at
 from magiclens.kernels.compiler import njit
 from magiclens.kernels.threads import in_threads
 from magiclens.optics.eyes import project
@@ -24,10 +24,6 @@ _NEAR, _NEXT, _FAR = 3 / 4, -3 / 20, 1 / 60
 """Weights of the central difference of sixth order. What the process leaves is so smooth that it is exact."""
 SLOPE_REACH = 3
 """Nodes on either side that a slope depends on."""
-_SLOPE_STEP = 1e-4
-"""Change of a slope over which derivatives are taken by finite differences."""
-_LIGHT_STEP = 20
-"""Entries of the display table on each side over which its slope is taken: near black it is steep."""
 
 
 class MadeRaster(NamedTuple):
@@ -73,65 +69,84 @@ def _aim_part(part, z, slopes, raster, eye, optics, aim):
             u, v = raster.left + q * raster.pitch, raster.top - r * raster.pitch
             h, a, b = z[r, q] - optics.depth, slopes[0, r, q], slopes[1, r, q]
             x, y, there = land_by_slopes(u, v, h, a, b, eye, optics)
-            ax, ay, good = land_by_slopes(u, v, h, a + _SLOPE_STEP, b, eye, optics)
-            bx, by, well = land_by_slopes(u, v, h, a, b + _SLOPE_STEP, eye, optics)
+            ax, ay, good = land_by_slopes(u, v, h, a + SLOPE_STEP, b, eye, optics)
+            bx, by, well = land_by_slopes(u, v, h, a, b + SLOPE_STEP, eye, optics)
             aim.landing[i, j, 0], aim.landing[i, j, 1] = (x, y) if there else (np.nan, np.nan)
             # where a neighbouring ray does not arrive, nothing is known: no change is expected
-            known = 1.0 / _SLOPE_STEP if there and good and well else 0.0
+            known = 1.0 / SLOPE_STEP if there and good and well else 0.0
             aim.by_slope[i, j, 0, 0], aim.by_slope[i, j, 0, 1] = (ax - x) * known, (ay - y) * known
             aim.by_slope[i, j, 1, 0], aim.by_slope[i, j, 1, 1] = (bx - x) * known, (by - y) * known
 
 
 # these flags relax rounding alone; none lets the compiler assume that there is no infinity or NaN
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "arcp"})
-def _shown_part(part, z, raster, pictures, e, plane, aim, found):
-    """Part of the rows of blocks, see ``shown``.
+def _look_up(bi, bj, raster, pictures, e, landing, light, pull):
+    """Add up the source's light over the look-ups of a block, and how nodes' landing points would change it.
 
     A look-up at (s, t) of a cell takes the source at the mean of the landing points of the cell's corners, weighted
-    bilinearly; the corner's slopes move it by the same weight. plane: z of the reference plane. found: residuals and
-    gradients, to fill.
+    bilinearly; a corner's landing point moves it by the same weight.
+
+    Args:
+        bi, bj: row and column of the block.
+        raster: a ``MadeRaster``.
+        pictures: sources and targets.
+        e: the eye.
+        landing: (B b + 1, B b + 1, 2) mm, of the eye's rays.
+        light: (channels of the eye,) to add to.
+        pull: (channels of the eye, b + 1, b + 1, 2) to add to: derivatives along x and y of the landing points.
     """
-    residuals, gradients = found
-    p, b, side = raster.pitch, raster.block, raster.look_ups
-    rows, last = len(pictures.sources), len(pictures.display) - 1
+    b, side, first = raster.block, raster.look_ups, pictures.first[e]
+    rows = len(pictures.sources)
     per_mm, middle = rows / pictures.source_mm, 0.5 * rows - 0.5
+    for k in range((b * side) ** 2):
+        down, right = (k // (b * side) + 0.5) / side, (k % (b * side) + 0.5) / side
+        ii, jj = int(down), int(right)
+        t, s = down - ii, right - jj
+        i, j = bi * b + ii, bj * b + jj
+        tl, tr, bl, br = (1 - t) * (1 - s), (1 - t) * s, t * (1 - s), t * s
+        x = (
+            tl * landing[i, j, 0]
+            + tr * landing[i, j + 1, 0]
+            + bl * landing[i + 1, j, 0]
+            + br * landing[i + 1, j + 1, 0]
+        )
+        y = (
+            tl * landing[i, j, 1]
+            + tr * landing[i, j + 1, 1]
+            + bl * landing[i + 1, j, 1]
+            + br * landing[i + 1, j + 1, 1]
+        )
+        column, row = x * per_mm + middle, middle - y * per_mm
+        if not (0.0 <= column < rows - 1.001 and 0.0 <= row < rows - 1.001):
+            continue  # beside the source it is dark
+        m, n = int(row), int(column)
+        fy, fx = np.float32(row - m), np.float32(column - n)
+        for c in range(len(light)):
+            w = pictures.plane[first + c]
+            above, beside = pictures.sources[m, n, w], pictures.sources[m, n + 1, w]
+            under, across = pictures.sources[m + 1, n, w], pictures.sources[m + 1, n + 1, w]
+            high, low = above + (beside - above) * fx, under + (across - under) * fx
+            light[c] += high + (low - high) * fy
+            gx = np.float32(((beside - above) + ((across - under) - (beside - above)) * fy) * per_mm)
+            gy = np.float32((high - low) * per_mm)
+            for corner, weight in enumerate((tl, tr, bl, br)):
+                pull[c, ii + corner // 2, jj + corner % 2, 0] += np.float32(weight) * gx
+                pull[c, ii + corner // 2, jj + corner % 2, 1] += np.float32(weight) * gy
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "arcp"})
+def _shown_part(part, z, raster, pictures, e, plane, aim, found):
+    """Part of the rows of blocks, see ``shown``. plane: z of the reference plane. found: residuals and gradients."""
+    residuals, gradients = found
+    p, b, last = raster.pitch, raster.block, len(pictures.display) - 1
     first, channels = pictures.first[e], pictures.first[e + 1] - pictures.first[e]
-    each, eye = np.float32(1.0 / (b * side) ** 2), pictures.eyes_mm[e]
+    each, eye = np.float32(1.0 / (b * raster.look_ups) ** 2), pictures.eyes_mm[e]
     light, pull = np.zeros(channels, np.float32), np.zeros((channels, b + 1, b + 1, 2), np.float32)
     for bi in range(part.first, part.end):
         for bj in range(raster.blocks):
             light[:] = 0.0
             pull[:] = 0.0
-            for k in range((b * side) ** 2):
-                down, right = (k // (b * side) + 0.5) / side, (k % (b * side) + 0.5) / side
-                ii, jj = int(down), int(right)
-                t, s = down - ii, right - jj
-                i, j = bi * b + ii, bj * b + jj
-                tl, tr, bl, br = (1 - t) * (1 - s), (1 - t) * s, t * (1 - s), t * s
-                at = aim.landing
-                x = tl * at[i, j, 0] + tr * at[i, j + 1, 0] + bl * at[i + 1, j, 0] + br * at[i + 1, j + 1, 0]
-                y = tl * at[i, j, 1] + tr * at[i, j + 1, 1] + bl * at[i + 1, j, 1] + br * at[i + 1, j + 1, 1]
-                column, row = x * per_mm + middle, middle - y * per_mm
-                if not (0.0 <= column < rows - 1.001 and 0.0 <= row < rows - 1.001):
-                    continue  # beside the source it is dark
-                m, n = int(row), int(column)
-                fy, fx = np.float32(row - m), np.float32(column - n)
-                for c in range(channels):
-                    w = pictures.plane[first + c]
-                    above, beside = pictures.sources[m, n, w], pictures.sources[m, n + 1, w]
-                    under, across = pictures.sources[m + 1, n, w], pictures.sources[m + 1, n + 1, w]
-                    high, low = above + (beside - above) * fx, under + (across - under) * fx
-                    light[c] += high + (low - high) * fy
-                    gx = np.float32(((beside - above) + ((across - under) - (beside - above)) * fy) * per_mm)
-                    gy = np.float32((high - low) * per_mm)
-                    pull[c, ii, jj, 0] += np.float32(tl) * gx
-                    pull[c, ii, jj, 1] += np.float32(tl) * gy
-                    pull[c, ii, jj + 1, 0] += np.float32(tr) * gx
-                    pull[c, ii, jj + 1, 1] += np.float32(tr) * gy
-                    pull[c, ii + 1, jj, 0] += np.float32(bl) * gx
-                    pull[c, ii + 1, jj, 1] += np.float32(bl) * gy
-                    pull[c, ii + 1, jj + 1, 0] += np.float32(br) * gx
-                    pull[c, ii + 1, jj + 1, 1] += np.float32(br) * gy
+            _look_up(bi, bj, raster, pictures, e, aim.landing, light, pull)
             # where the block is seen: its middle, at the height of the node nearest to that
             r, q = raster.first + bi * b + b // 2, raster.first + bj * b + b // 2
             u = raster.left + (raster.first + (bj + 0.5) * b) * p
@@ -144,7 +159,7 @@ def _shown_part(part, z, raster, pictures, e, plane, aim, found):
                 k = min(int(entry), last - 1)
                 value = pictures.display[k] + (pictures.display[k + 1] - pictures.display[k]) * (entry - k)
                 out[first + c] = value - out[first + c] if seen else 0.0
-                low, high = max(k - _LIGHT_STEP, 0), min(k + _LIGHT_STEP, last)
+                low, high = max(k - LIGHT_STEP, 0), min(k + LIGHT_STEP, last)
                 steep = np.float32((pictures.display[high] - pictures.display[low]) / (high - low) * last) * each
                 steep = steep if seen else np.float32(0.0)
                 for ii in range(b + 1):

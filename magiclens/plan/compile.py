@@ -308,7 +308,8 @@ class _Compiler:
         with blaming(f"scenario {scenario.type} ({plugin})"):
             try:
                 lens = scenario.fitted_lens(spec.lens.build(), spec.viewer)
-                rim_mm = self._fabrication.rim_mm(lens, spec.viewer.distance) if self._fabrication else 0.0
+                making = self._fabrication
+                rim_mm = making.machine.rim_mm(lens, spec.viewer.distance) if making else 0.0
                 return replace(lens, bleed_mm=max(lens.bleed_mm, rim_mm))
             # caught inside ``blaming``: it is a mistake of the spec, not of the plugin
             except ValueError as error:

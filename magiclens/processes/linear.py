@@ -65,7 +65,6 @@ class LinearProcess(BaseModel):
         Returns:
             (rows, columns) float64, mm. Beyond the raster's border the surface goes on level, or mirrored.
         """
-        from scipy.fft import dctn, idctn
         from scipy.ndimage import gaussian_filter
 
         z = np.asarray(heights, np.float64)
@@ -74,10 +73,7 @@ class LinearProcess(BaseModel):
                 z, (self.spread / pitch_mm[1], self.spread / pitch_mm[0]), mode="nearest"
             )
             return even
-        spectrum = dctn(z, norm="ortho", workers=-1)
-        spectrum *= self.kept(raster_wavenumbers(z.shape, pitch_mm))
-        surface: FloatArray = idctn(spectrum, norm="ortho", workers=-1, overwrite_x=True)
-        return surface
+        return filtered(z, self.kept(raster_wavenumbers(z.shape, pitch_mm)))
 
 
 def raster_wavenumbers(shape: tuple[int, ...], pitch_mm: tuple[float, float]) -> FloatArray:
@@ -92,3 +88,21 @@ def raster_wavenumbers(shape: tuple[int, ...], pitch_mm: tuple[float, float]) ->
     """
     down, right = (math.pi * np.arange(n) / (n * p) for n, p in zip(shape, pitch_mm[::-1], strict=True))
     return np.asarray(np.hypot(down[:, None], right[None, :]))
+
+
+def filtered(raster: FloatArray, factors: FloatArray) -> FloatArray:
+    """A raster whose waves are multiplied by factors; it is mirrored at its borders.
+
+    Args:
+        raster: (rows, columns) floats.
+        factors: (rows, columns) floats, one for each of ``raster_wavenumbers``.
+
+    Returns:
+        (rows, columns) of the raster's precision.
+    """
+    from scipy.fft import dctn, idctn
+
+    spectrum = dctn(raster, norm="ortho", workers=-1)
+    spectrum *= factors
+    found: FloatArray = idctn(spectrum, norm="ortho", workers=-1, overwrite_x=True)
+    return found

@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
+from magiclens.contract.artifacts import Lens
 from magiclens.contract.units import ANGLE, LENGTH, Angle, Length
 from magiclens.processes.layers import Slicing
 from magiclens.processes.linear import LinearProcess
@@ -52,6 +53,24 @@ class Machine(BaseModel, ABC):
     def limits(self) -> dict[str, str]:
         """Keys under ``lens`` that are set to the machine's limit unless the spec writes them, as text with units."""
         return {"wall": LENGTH.text(self.wall), "max_slope": ANGLE.text(self.max_slope)}
+
+    @abstractmethod
+    def integrator(self, wall_mm: float, cells: str) -> dict[str, Any]:
+        """Options of the integrator that suit this machine, as a spec writes them.
+
+        Args:
+            wall_mm: Width of the walls between facets.
+            cells: What facets are cut along, see ``Lens``.
+        """
+
+    def rim_mm(self, lens: Lens, distance_mm: float) -> float:
+        """How far the top must go on beyond the lens's square, so that its rim shows no frame.
+
+        Args:
+            lens: The lens.
+            distance_mm: From the reference plane to the eye.
+        """
+        return 0.0
 
     @abstractmethod
     def exporters(self) -> dict[str, dict[str, Any]]:
@@ -122,6 +141,14 @@ class Printer(Machine):
         levelling = self.lacquer.wavelength_mm if self.lacquer else 0.0
         return LinearProcess(spread=LENGTH.text(round(spread, 6)), levelling=LENGTH.text(round(levelling, 6)))
 
+    def integrator(self, wall_mm: float, cells: str) -> dict[str, Any]:
+        """The process, through which a top of vertical cells is refined as one surface."""
+        return {"process": self.linear_process.model_dump(mode="json")} if cells == "vertical" else {}
+
+    def rim_mm(self, lens: Lens, distance_mm: float) -> float:
+        """How far the body's edge is rounded off, and how far the eye looks past the edge of facets that are low."""
+        return self.linear_process.reach_mm + lens.relief_mm * lens.size_mm / 2 / distance_mm
+
     def exporters(self) -> dict[str, dict[str, Any]]:
         """Options for slices at the machine's own resolution."""
         layers = {"layer": LENGTH.text(self.layer), "slicing": self.slicing}
@@ -158,6 +185,10 @@ class Mill(Machine):
     def steepest_deg(self) -> float:
         """The steepest surface that the cutter's flank touches without cutting into it, degrees from the bed."""
         return 90.0 - (self.angle / 2 if self.cutter == "v" else self.draft)
+
+    def integrator(self, wall_mm: float, cells: str) -> dict[str, Any]:
+        """The step limit that follows from the walls."""
+        return {"step_limit": LENGTH.text(round(self.step_mm(wall_mm), 4))}
 
     def step_mm(self, wall_mm: float) -> float:
         """The highest step between facets, mm, at which a wall of this width still leans by the machine's draft."""

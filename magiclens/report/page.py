@@ -27,7 +27,7 @@ def report_page(
     Args:
         data: The run.
         folder: The run folder, which holds all other files already.
-        figures: Blocks of ``figure_block`` in the order of the page, the contact sheet first.
+        figures: Blocks of ``figure_block`` in the order of the page, what matters most first.
         photos: Photographs by renderer, one for each view.
     """
     manifest = data.manifest

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterable, Mapping
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from magiclens.cache.sources import UnknownSources, processor, required_versions, source_hashes
+from magiclens.cache.store import file_digest
 from magiclens.cache.values import NotPlain, described, digest_of
 from magiclens.config.fields import Inputs
 from magiclens.plan.blame import blaming
@@ -185,4 +185,4 @@ def _surroundings(step: Step[Any]) -> Any:
 
 @lru_cache(maxsize=256)
 def _hash_of(path: Path, changed: int, size: int) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    return file_digest(path)

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 from markupsafe import Markup
 
+from magiclens.analysis.as_made import made_picture
 from magiclens.config.suggest import unknown
 from magiclens.contract.errors import InputError
 from magiclens.report.tables import TableRow, format_bytes, metric_headlines
@@ -128,7 +129,7 @@ def lens_page(entry: GalleryEntry, folder: Path, viewer: str, album: Album, quic
     shown = _chosen(entry, manifest["views"])
     paths = [artifact["path"] for artifact in manifest["artifacts"]]
     # what a print shows, if a machine was simulated: the mesh of a lens that makes up for its printer shows less
-    made = f"figures/as-made-{shown['name']}.png"
+    made = f"figures/{made_picture(shown['name'])}.png"
     photo = made if made in paths else next(iter(shown["renders"].values()), shown["target"])
     card = [album.shrunk(folder / path, entry.name, _CARD_WIDTH, "") for path in (shown["source"], photo)]
     return LensPage(
