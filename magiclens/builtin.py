@@ -29,7 +29,7 @@ def mlens_stages() -> Sequence[type[Stage]]:
     from magiclens.exporting.mesh_files import Obj, Ply, Stl
     from magiclens.exporting.monitor import Monitor
     from magiclens.exporting.print_sheet import PrintSheet
-    from magiclens.exporting.slices import Slices
+    from magiclens.exporting.slices import Sl1, Slices
     from magiclens.exporting.three_mf import ThreeMf
     from magiclens.integration.least_squares import LeastSquaresIntegrator
     from magiclens.integration.poisson import Poisson
@@ -44,8 +44,9 @@ def mlens_stages() -> Sequence[type[Stage]]:
 
     matching: list[type[Stage]] = [Exhaustive, MultiViewMatcher, DartThrowing]
     design: list[type[Stage]] = [HeatBath, Metropolis, Poisson, LeastSquaresIntegrator, Pymeshlab, LeastSquaresEncoder]
-    fabrication: list[type[Stage]] = [Stl, Ply, Obj, ThreeMf, Glb, HeightMap, Slices, Gcode, Rml, PrintSheet, Monitor]
-    return [*matching, *design, *fabrication, Tracer, Mitsuba]
+    meshes: list[type[Stage]] = [Stl, Ply, Obj, ThreeMf, Glb]
+    machines: list[type[Stage]] = [HeightMap, Slices, Sl1, Gcode, Rml, PrintSheet, Monitor]
+    return [*matching, *design, *meshes, *machines, Tracer, Mitsuba]
 
 
 @hookimpl

@@ -111,7 +111,7 @@ def test_what_a_scenario_needs_comes_before_what_suits_a_machine(load: Loader) -
         ("fabrication.layer=20um", "fabrication.layer: unknown key; choose one of: angle, bed, cutter"),
         ("fabrication.tipp=20um", "fabrication.tipp: unknown key; did you mean 'tip'?"),
         ("fabrication.reach=10", "fabrication.reach: 10 is a bare number; a length needs a unit, such as '10mm'"),
-        ("fabrication={tip: 1mm}", "fabrication.machine: this key is required; choose one of: egx-600, milling"),
+        ("fabrication={tip: 1mm}", "fabrication.machine: this key is required; choose one of: droplet-optics, egx-600"),
         ("fabrication=milling", "fabrication: expected a mapping such as {machine: printing}, got 'milling'"),
         ("fabrication.thickness=[9mm, 8mm]", "fabrication.thickness: goes from thin to thick, such as [8mm, 9mm]"),
         ("fabrication.feed=fast", "fabrication.feed: 'fast' is not allowed here; it must match"),
@@ -135,13 +135,13 @@ def test_a_limit_that_a_file_breaks_is_named_with_its_line(load: Loader) -> None
 def test_options_of_a_machine_can_be_changed(load: Loader) -> None:
     plan = load("fabrication={machine: sla, layer: 50um, price: 99}", "pipeline.exporters=[{type: slices}]")
     assert (plan.fabrication.machine.layer, plan.fabrication.machine.price) == (0.05, 99)
-    wanted = {"dpi_x": 1016.0, "dpi_y": 1016.0, "layer": 0.05, "slicing": "diffused"}
+    wanted = {"dpi_x": 1016.0, "dpi_y": 1016.0, "layer": 0.05, "slicing": "diffused", "grey": None}
     assert plan.exporters[0].stage.model_dump() == wanted
 
 
 def test_an_exporters_own_options_come_before_the_machines(load: Loader) -> None:
     plan = load("fabrication={machine: sla}", "pipeline.exporters=[{type: slices, dpi_x: 300}]")
-    wanted = {"dpi_x": 300.0, "dpi_y": 1016.0, "layer": 0.025, "slicing": "diffused"}
+    wanted = {"dpi_x": 300.0, "dpi_y": 1016.0, "layer": 0.025, "slicing": "diffused", "grey": None}
     assert plan.exporters[0].stage.model_dump() == wanted
 
 
@@ -158,6 +158,18 @@ def test_layers_are_diffused_where_slices_are_our_own(exporters: str, written: s
     plan = load(f"fabrication={{machine: sla{written}}}", f"pipeline.exporters={exporters}")
     assert plan.fabrication.machine.slicing == slicing
     assert [s.stage.slicing for s in plan.exporters if s.stage.type == "slices"] in ([], [slicing])
+
+
+def test_printers_of_filament_are_refused_with_the_reason(load: Loader) -> None:
+    with pytest.raises(InputError, match=r"fabrication.machine: a printer that melts filament cannot .*lcd-12k"):
+        load("fabrication.machine=fdm")
+
+
+def test_archives_for_a_screen_have_the_machines_grey(load: Loader) -> None:
+    plan = load("fabrication.machine=lcd-12k", "pipeline.exporters=[{type: sl1}]")
+    exporter = plan.exporters[0].stage
+    assert (exporter.slicing, exporter.grey.bits) == ("diffused", 3)
+    assert exporter._screen() == (11520, 5120)
 
 
 def test_a_printed_lens_is_refined_through_its_process(load: Loader) -> None:

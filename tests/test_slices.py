@@ -16,7 +16,7 @@ from PIL import Image
 from fabricated import EYE, LENS, Eye, box, bumpy, flat, together, winding, written
 from magiclens.contract.artifacts import BoolArray, FloatArray, Lens, Scene, Solid
 from magiclens.contract.errors import InputError
-from magiclens.exporting.slices import Slices
+from magiclens.exporting.slices import Sl1, Slices
 from magiclens.geometry.solid import volume
 from magiclens.plan.compile import load_plan
 from magiclens.profiles.machines import Printer, machines
@@ -185,3 +185,67 @@ def test_diffused_slices_are_what_is_simulated(tmp_path: Path) -> None:
     assert made.grid == voxels.shape[1:]
     z = made.vertices[: voxels[0].size, 2].reshape(made.grid)
     assert np.array_equal(np.rint(z / 0.05), np.maximum(voxels.sum(axis=0), 1))
+
+
+GREY = {"grey": {"bits": 3}, "slicing": "diffused"}
+
+
+def test_grey_tops_of_columns_have_the_height_that_the_table_says(tmp_path: Path) -> None:
+    solid = bumpy(None)
+    pixels, facts, _ = stack(solid, tmp_path, **FINE, **GREY)
+    assert facts["bits"] == 3
+    share = np.zeros(256)
+    values, shares = np.array(facts["table"]).T
+    share[values.astype(int)] = shares
+    assert set(np.unique(pixels)) == set(values.astype(int))
+    heights = share[pixels].sum(axis=0) * facts["layer_mm"]
+    assert facts["filled_mm3"] == pytest.approx(heights.sum() * np.prod(facts["pixel_mm"]))
+    # the box of voxels is not quite the solid's
+    assert facts["filled_mm3"] == pytest.approx(volume(solid), rel=1e-2)
+    assert facts["filled_mm3"] == pytest.approx(stack(solid, tmp_path, **FINE)[1]["filled_mm3"], rel=1e-5)
+    # below a column's top all is white
+    top = (pixels > 0).sum(axis=0)
+    assert np.all(np.where(np.arange(len(pixels))[:, None, None] < top - 1, pixels == 255, True))
+    plain, _, _ = stack(solid, tmp_path, **FINE, slicing="diffused")
+    assert np.abs(heights - plain.sum(axis=0) * facts["layer_mm"]).max() < 2 * facts["layer_mm"]
+
+
+def test_grey_slices_are_what_is_simulated(tmp_path: Path) -> None:
+    solid = bumpy(None)
+    options = {**machines()["lcd-12k"].options, "dpi": (400.0, 250.0), "layer": "60um", "blur": "0mm", "polish": "0mm"}
+    made = as_printed(solid, Printer.model_validate({**options, "slicing": "diffused"}))
+    pixels, facts, _ = stack(solid, tmp_path, **FINE, **GREY)
+    share = np.interp(pixels, *np.array(facts["table"]).T)
+    heights = share.sum(axis=0) * 0.06
+    assert made.grid == heights.shape
+    simulated = made.vertices[: heights.size, 2].reshape(heights.shape)
+    assert np.abs(simulated - heights).mean() < 0.06 / 20
+
+
+def test_an_sl1_archive_shows_the_lens_mirrored_in_the_middle_of_the_screen(tmp_path: Path) -> None:
+    options = {**FINE, **GREY, "bed": ("30mm", "24mm", "50mm")}
+    solid = bumpy(None)
+    pixels, _, _ = stack(solid, tmp_path, **FINE, **GREY)
+    with ZipFile(written(Sl1(**options), tmp_path, solid)) as archive:
+        job, settings = (
+            dict(line.split(" = ") for line in archive.read(name).decode().splitlines())
+            for name in ("config.ini", "prusaslicer.ini")
+        )
+        names = [name for name in archive.namelist() if name.endswith(".png")]
+        screens = np.array([np.asarray(Image.open(io.BytesIO(archive.read(name)))) for name in names])
+    assert names == [f"{job['jobDir']}{k:05d}.png" for k in range(len(pixels))]
+    assert float(job["layerHeight"]) == float(settings["layer_height"]) == 0.06
+    columns, rows = int(settings["display_pixels_x"]), int(settings["display_pixels_y"])
+    assert (columns, rows) == (round(30 * 400 / 25.4), round(24 * 250 / 25.4))
+    assert screens.shape == (len(pixels), rows, columns)
+    assert settings["display_mirror_x"] == "1"
+    top, left = ((big - small) // 2 for big, small in zip(screens.shape[1:], pixels.shape[1:], strict=True))
+    middle = screens[:, top : top + pixels.shape[1], left : left + pixels.shape[2]]
+    assert np.array_equal(middle[:, :, ::-1], pixels)
+    assert screens.sum(dtype=np.int64) == pixels.sum(dtype=np.int64)  # all else is dark
+    assert not np.array_equal(pixels, pixels[:, :, ::-1])
+
+
+def test_a_lens_larger_than_the_screen_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"the lens has \d+ x \d+ pixels, the screen"):
+        written(Sl1(**FINE, bed=("8mm", "24mm", "50mm")), tmp_path, bumpy(None))

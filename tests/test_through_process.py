@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from magiclens.contract.artifacts import FloatArray, HeightField, Lens, Scene, View
 from magiclens.contract.stages import silent
@@ -31,7 +32,7 @@ from magiclens.integration.through_process_kernels import (
     raster_slopes,
     raster_slopes_transposed,
 )
-from magiclens.processes.layers import layers_of
+from magiclens.processes.layers import Grey, Slicing, layers_of_tops, tops_of
 from magiclens.processes.linear import LinearProcess, raster_wavenumbers
 from magiclens.profiles.machines import Printer, machines
 from magiclens.rendering.tracer import Tracer
@@ -225,11 +226,11 @@ class TestLayers:
     def test_each_column_is_less_than_two_layers_off(self) -> None:
         z = self.ramp()
         for slicing, most in (("plain", 0.501), ("diffused", 1.5)):
-            assert np.abs(layers_of(z, 0.025, slicing) - z / 0.025).max() <= most  # type: ignore[arg-type]
+            assert np.abs(tops_of(z, 0.025, slicing) - z / 0.025).max() <= most  # type: ignore[arg-type]
 
     def test_diffused_stairs_are_gone_after_a_blur(self) -> None:
         z, process = self.ramp(), LinearProcess(spread="0.15mm")
-        layers = [layers_of(z, 0.025, "plain"), layers_of(z, 0.025, "diffused")]
+        layers = [tops_of(z, 0.025, "plain"), tops_of(z, 0.025, "diffused")]
         made = [process.of(each * 0.025, (0.05, 0.05))[20:-20, 20:-20] for each in layers]
         slopes = [np.diff(each, axis=1) / 0.05 for each in made]
         plain, diffused = (float(np.sqrt(np.mean((s - 0.01) ** 2))) for s in slopes)
@@ -238,4 +239,31 @@ class TestLayers:
     def test_nothing_is_put_beside_the_body(self) -> None:
         z = self.ramp().copy()
         z[:, :40] = 0.0
-        assert not layers_of(z, 0.025, "diffused")[:, :40].any()
+        assert not tops_of(z, 0.025, "diffused")[:, :40].any()
+
+    @pytest.mark.parametrize("slicing", ["plain", "diffused"])
+    def test_grey_comes_nearer_than_whole_layers(self, slicing: Slicing) -> None:
+        z, shares = self.ramp(), Grey(bits=3).shares
+        near = layers_of_tops(tops_of(z, 0.025, slicing, shares), shares) * 0.025
+        far = layers_of_tops(tops_of(z, 0.025, slicing)) * 0.025
+        assert np.abs(near - z).mean() < 0.5 * np.abs(far - z).mean()
+        assert near.mean() == pytest.approx(z.mean(), abs=2e-4)
+
+    def test_heights_of_tops_have_these_tops(self) -> None:
+        shares = Grey(bits=4).shares
+        tops = np.arange(1, 300, dtype=np.int32).reshape(13, 23)
+        for slicing in ("plain", "diffused"):
+            heights = (layers_of_tops(tops, shares) + 1e-4) * 0.05
+            assert np.array_equal(tops_of(heights, 0.05, slicing, shares), tops)  # type: ignore[arg-type]
+
+    def test_too_little_light_cures_nothing(self) -> None:
+        values, shares = Grey(bits=3).steps()
+        assert values.tolist() == [0, 146, 182, 219]  # 1/7 to 3/7 of full exposure give nothing
+        assert shares[0] == 0.0
+        assert np.all(np.diff(shares) > 0)
+        assert shares[-1] < 1.0
+
+    @pytest.mark.parametrize("growth", [[[0.5, 0.1], [1, 1]], [[0.5, 0], [0.4, 0.5], [1, 1]], [[0.5, 0], [1, 0.9]], []])
+    def test_growth_rises_from_nothing_to_a_layer(self, growth: list[list[float]]) -> None:
+        with pytest.raises(ValidationError, match="must rise from no height"):
+            Grey.model_validate({"growth": growth})

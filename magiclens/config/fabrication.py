@@ -11,7 +11,7 @@ from magiclens.config.document import Document
 from magiclens.config.model import Choice, LensSpec
 from magiclens.config.suggest import advice, unknown
 from magiclens.contract.units import ANGLE, LENGTH
-from magiclens.profiles.machines import Machine, Mill, Printer, Profile, machines
+from magiclens.profiles.machines import Machine, Mill, Printer, Profile, machines, refused_machines
 
 _KEY = "machine"
 
@@ -119,7 +119,8 @@ def find_fabrication(document: Document, checker: Checker) -> Fabrication | None
         return None
     profile = known.get(str(name))
     if profile is None:
-        checker.add(("fabrication", _KEY), unknown("machine", name, known))
+        reason = refused_machines().get(str(name)) or unknown("machine", name, known)
+        checker.add(("fabrication", _KEY), reason)
         return None
     options = {key: value for key, value in written.items() if key != _KEY}
     if profile.model is Printer and _writes_slices(document):
@@ -133,4 +134,4 @@ def _writes_slices(document: Document) -> bool:
     pipeline = document.data.get("pipeline")
     exporters = pipeline.get("exporters") if isinstance(pipeline, dict) else None
     named = exporters if isinstance(exporters, list) else []
-    return any(isinstance(each, dict) and each.get("type") == "slices" for each in named)
+    return any(isinstance(each, dict) and each.get("type") in ("slices", "sl1") for each in named)

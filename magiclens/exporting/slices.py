@@ -1,8 +1,9 @@
-"""A stack of pictures, one per layer, as printers that jet droplets take it."""
+"""Stacks of pictures, one per layer, as printers that jet droplets or cure resin layer by layer take them."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -16,10 +17,12 @@ from magiclens.contract.errors import InputError
 from magiclens.contract.stages import Exporter
 from magiclens.contract.units import LENGTH, Length
 from magiclens.exporting.archive import entry
-from magiclens.processes.layers import Slicing
+from magiclens.processes.layers import Grey, Slicing
 
 if TYPE_CHECKING:
-    from magiclens.exporting.voxels import Bitmap, VoxelGrid
+    from PIL.Image import Image
+
+    from magiclens.exporting.voxels import VoxelGrid
 
 _MOST_PIXELS = 10**8
 """Most pixels of a layer; more need more memory than a desktop has."""
@@ -27,14 +30,8 @@ _MOST_LAYERS = 10**5
 """Most layers; their names have five digits."""
 
 
-class Slices(Exporter):
-    """Voxel layers for jetting printers: a zip with one black-and-white PNG per layer and a manifest.
-
-    White is material. ``layer-00000.png`` lies on the build plate; row 0 is at +y, as the viewer sees the lens.
-    """
-
-    type: ClassVar[str] = "slices"
-    suffix: ClassVar[str] = ".slices.zip"
+class LayerStack(Exporter):
+    """What all archives of layers share: the voxels, and how heights become layers of them."""
 
     dpi_x: float = Field(600.0, ge=10, le=10000, description="pixels per inch along x")
     dpi_y: float = Field(300.0, ge=10, le=10000, description="pixels per inch along y")
@@ -42,45 +39,165 @@ class Slices(Exporter):
     slicing: Slicing = Field(
         "plain", description="how heights become layers: plain rounding, or error diffusion, which leaves no stairs"
     )
+    grey: Grey | None = Field(None, description="exposure in steps on top of columns; black and white if left out")
+
+    def _grid(self, solid: Solid) -> VoxelGrid:
+        """Where the voxels are. Raises InputError if the stack would be too large."""
+        from magiclens.exporting.voxels import VoxelGrid
+
+        grid = VoxelGrid.around(solid, (25.4 / self.dpi_x, 25.4 / self.dpi_y), self.layer)
+        layers, rows, columns = grid.shape
+        if rows * columns > _MOST_PIXELS:
+            wish = f"a layer would have {columns} x {rows} pixels, more than {_MOST_PIXELS:,}"
+            lower = f"lower dpi_x and dpi_y, now {self.dpi_x:g} and {self.dpi_y:g}"
+            raise InputError(f"{wish}; {lower}", f"exporter {self.type}")
+        if layers > _MOST_LAYERS:
+            wish = f"there would be {layers} layers, more than {_MOST_LAYERS:,}"
+            raise InputError(f"{wish}; raise layer, now {LENGTH.text(self.layer)}", f"exporter {self.type}")
+        return grid
+
+    def _layers(self, solid: Solid, grid: VoxelGrid) -> Iterator[tuple[Image | None, float]]:
+        """Every layer from the lowest up, row 0 at +y: its picture, None if it is like the last; its filled voxels."""
+        from PIL import Image
+
+        from magiclens.exporting.voxels import grey_layers, layers
+
+        size, filled = (grid.shape[2], grid.shape[1]), 0.0
+        if self.grey:
+            share = self.grey.share_of_pixels()
+            for pixels, changed in grey_layers(solid, grid, self.slicing, self.grey):
+                if changed:
+                    filled = float(np.bincount(pixels.ravel(), minlength=256) @ share)
+                yield Image.fromarray(pixels) if changed else None, filled
+        else:
+            for bitmap, changed in layers(solid, grid, self.slicing):
+                if changed:
+                    filled = float(np.bitwise_count(bitmap).sum(dtype=np.int64))
+                yield Image.frombytes("1", size, bitmap.tobytes()) if changed else None, filled
+
+    def _png(self, image: Image) -> bytes:
+        """A layer as a file that knows its physical size."""
+        file = BytesIO()
+        image.save(file, format="PNG", compress_level=1, dpi=(self.dpi_x, self.dpi_y))
+        return file.getvalue()
+
+
+class Slices(LayerStack):
+    """Voxel layers for jetting printers: a zip with one black-and-white PNG per layer and a manifest.
+
+    White is material. ``layer-00000.png`` lies on the build plate; row 0 is at +y, as the viewer sees the lens. With
+    ``grey``, pixels on top of columns are darker than white: the manifest's ``table`` says how high they become.
+    """
+
+    type: ClassVar[str] = "slices"
+    suffix: ClassVar[str] = ".slices.zip"
 
     def export(self, scene: Scene, solid: Solid, path: Path) -> None:
         """Write the archive layer by layer. Raises InputError if the stack would be too large.
 
-        With error diffusion, what overhangs is filled down to the bottom: a column of voxels has one height.
+        With error diffusion or grey, what overhangs is filled down to the bottom: a column of voxels has one height.
         """
-        from magiclens.exporting.voxels import VoxelGrid, layers
-
-        grid = VoxelGrid.around(solid, (25.4 / self.dpi_x, 25.4 / self.dpi_y), self.layer)
-        self._check(grid)
-        filled = 0  # number of voxels
+        grid = self._grid(solid)
+        total, png = 0.0, b""
         with ZipFile(path, "w") as archive:
-            for k, (bitmap, changed) in enumerate(layers(solid, grid, self.slicing)):
-                if changed or k == 0:  # layers that are alike are compressed once
-                    png = self._png(bitmap, grid)
-                    inside = int(np.bitwise_count(bitmap).sum(dtype=np.int64))
-                filled += inside
+            for k, (image, filled) in enumerate(self._layers(solid, grid)):
+                total += filled
+                png = self._png(image) if image else png  # layers that are alike are compressed once
                 archive.writestr(entry(_name(k), packed=False), png)
-            facts = {**_manifest(grid, filled * grid.voxel_mm3), "slicing": self.slicing}
-            text = json.dumps(facts, indent=2) + "\n"
-            archive.writestr(entry("manifest.json"), text)
+            facts = {**_manifest(grid, total * grid.voxel_mm3), "slicing": self.slicing, **self._grey_facts()}
+            archive.writestr(entry("manifest.json"), json.dumps(facts, indent=2) + "\n")
 
-    def _check(self, grid: VoxelGrid) -> None:
-        layers, rows, columns = grid.shape
-        if rows * columns > _MOST_PIXELS:
-            wish = f"a layer would have {columns} x {rows} pixels, more than {_MOST_PIXELS:,}"
-            raise InputError(f"{wish}; lower dpi_x and dpi_y, now {self.dpi_x:g} and {self.dpi_y:g}", "exporter slices")
-        if layers > _MOST_LAYERS:
-            wish = f"there would be {layers} layers, more than {_MOST_LAYERS:,}"
-            raise InputError(f"{wish}; raise layer, now {LENGTH.text(self.layer)}", "exporter slices")
+    def _grey_facts(self) -> dict[str, Any]:
+        if self.grey is None:
+            return {}
+        values, shares = (each.tolist() for each in self.grey.steps())
+        table = [[value, round(share, 6)] for value, share in zip(values, shares, strict=True)]
+        return {"bits": self.grey.bits, "table": [*table, [255, 1.0]]}
 
-    def _png(self, bitmap: Bitmap, grid: VoxelGrid) -> bytes:
-        """A layer as a file that knows its physical size."""
-        from PIL import Image
 
-        file = BytesIO()
-        image = Image.frombytes("1", (grid.shape[2], grid.shape[1]), bitmap.tobytes())
-        image.save(file, format="PNG", compress_level=1, dpi=(self.dpi_x, self.dpi_y))
-        return file.getvalue()
+class Sl1(LayerStack):
+    """Layers for resin printers with a screen: the archive that PrusaSlicer writes for the SL1, and UVtools converts.
+
+    Every PNG is the whole screen, with the lens in its middle. Pictures are mirrored left to right, as the screen is
+    looked at from the other side than the part; the archive says so.
+    """
+
+    type: ClassVar[str] = "sl1"
+    suffix: ClassVar[str] = ".sl1"
+
+    bed: tuple[Length, Length, Length] = Field(
+        ("120mm", "68mm", "150mm"), validate_default=True, description="the screen's width and depth, and the height"
+    )
+    exposure: float = Field(2.5, gt=0, le=1000, description="seconds a layer is exposed; the resin's maker says them")
+    first_exposure: float = Field(30.0, gt=0, le=1000, description="seconds the first layer is exposed")
+
+    def export(self, scene: Scene, solid: Solid, path: Path) -> None:
+        """Write the archive. Raises InputError if the stack would be too large, or the lens larger than the screen."""
+        grid = self._grid(solid)
+        screen = self._screen()
+        if grid.shape[2] > screen[0] or grid.shape[1] > screen[1]:
+            wish = f"the lens has {grid.shape[2]} x {grid.shape[1]} pixels, the screen {screen[0]} x {screen[1]}"
+            raise InputError(f"{wish}; make lens.size smaller", f"exporter {self.type}")
+        png, total = b"", 0.0
+        with ZipFile(path, "w") as archive:
+            for k, (image, filled) in enumerate(self._layers(solid, grid)):
+                total += filled
+                png = self._png(_on_screen(image, screen)) if image else png
+                archive.writestr(entry(f"lens{k:05d}.png", packed=False), png)
+            archive.writestr(entry("config.ini"), _ini(self._job(grid.shape[0], total * grid.voxel_mm3)))
+            archive.writestr(entry("prusaslicer.ini"), _ini(self._settings(screen)))
+
+    def _screen(self) -> tuple[int, int]:
+        """Columns and rows of the screen."""
+        return round(self.bed[0] * self.dpi_x / 25.4), round(self.bed[1] * self.dpi_y / 25.4)
+
+    def _job(self, layers: int, filled_mm3: float) -> dict[str, object]:
+        return {
+            "action": "print",
+            "expTime": self.exposure,
+            "expTimeFirst": self.first_exposure,
+            "jobDir": "lens",
+            "layerHeight": f"{self.layer:.6g}",
+            "materialName": "clear resin",
+            "numFade": 0,
+            "numFast": layers,
+            "numSlow": 0,
+            "usedMaterial": f"{filled_mm3 / 1000:.6g}",
+        }
+
+    def _settings(self, screen: tuple[int, int]) -> dict[str, object]:
+        return {
+            "bed_shape": f"0x0,{self.bed[0]:g}x0,{self.bed[0]:g}x{self.bed[1]:g},0x{self.bed[1]:g}",
+            "display_height": f"{self.bed[1]:g}",
+            "display_mirror_x": 1,
+            "display_mirror_y": 0,
+            "display_orientation": "landscape",
+            "display_pixels_x": screen[0],
+            "display_pixels_y": screen[1],
+            "display_width": f"{self.bed[0]:g}",
+            "exposure_time": self.exposure,
+            "faded_layers": 0,
+            "gamma_correction": 1,
+            "initial_exposure_time": self.first_exposure,
+            "initial_layer_height": f"{self.layer:.6g}",
+            "layer_height": f"{self.layer:.6g}",
+            "max_print_height": f"{self.bed[2]:g}",
+            "printer_technology": "SLA",
+        }
+
+
+def _on_screen(image: Image, screen: tuple[int, int]) -> Image:
+    """A layer, mirrored left to right, in the middle of a dark screen."""
+    from PIL import Image, ImageOps
+
+    whole = Image.new("L", screen)
+    corner = ((screen[0] - image.width) // 2, (screen[1] - image.height) // 2)
+    whole.paste(ImageOps.mirror(image.convert("L")), corner)
+    return whole
+
+
+def _ini(settings: dict[str, object]) -> str:
+    return "".join(f"{key} = {value}\n" for key, value in settings.items())
 
 
 def _name(layer: int) -> str:

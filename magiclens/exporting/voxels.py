@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from magiclens.contract.artifacts import FloatArray, IntArray, Solid
 from magiclens.exporting.voxels_kernels import RowedMesh, VoxelCentres, flip, sort_crossings
 from magiclens.geometry.columns import rows_at
-from magiclens.processes.layers import Slicing, layers_of
+from magiclens.processes.layers import WHOLE_LAYERS, Grey, Slicing, tops_of
 
 Bitmap = NDArray[np.uint8]
 """(rows, ceil(columns / 8)) uint8: eight voxels to a byte, the left one in the highest bit."""
@@ -66,7 +66,7 @@ class VoxelGrid:
 
 
 def layers(solid: Solid, grid: VoxelGrid, slicing: Slicing = "plain") -> Iterator[tuple[Bitmap, bool]]:
-    """Every layer from the lowest up, and whether it differs from the one before.
+    """Every layer from the lowest up, and whether it differs from the one before, which the first always does.
 
     All layers share their memory: use one before asking for the next.
 
@@ -78,24 +78,59 @@ def layers(solid: Solid, grid: VoxelGrid, slicing: Slicing = "plain") -> Iterato
     """
     starts, places = _crossings(solid, grid) if slicing == "plain" else _diffused(solid, grid)
     bitmap = np.zeros((grid.shape[1], -(-grid.shape[2] // 8)), np.uint8)
-    for start, end in pairwise(starts):
+    for k, (start, end) in enumerate(pairwise(starts)):
         flip(bitmap, places[start:end], grid.shape[2])
-        yield bitmap, bool(end > start)
+        yield bitmap, k == 0 or bool(end > start)
+
+
+def grey_layers(
+    solid: Solid, grid: VoxelGrid, slicing: Slicing, grey: Grey
+) -> Iterator[tuple[NDArray[np.uint8], bool]]:
+    """The same as ``layers`` in 8-bit pixels (rows, columns): 255 where a layer is whole, less on top of columns.
+
+    What overhangs is filled down to the bottom. ``grey`` says how exposure and height go together.
+    """
+    values, shares = grey.steps()
+    order, starts = _by_top(_tops(solid, grid, slicing, shares), grid.shape[0] * len(shares))
+    layer = np.zeros(grid.shape[1:], np.uint8)
+    layer.ravel()[order[starts[1] :]] = 255  # columns that are not empty
+    for k in range(grid.shape[0]):
+        first = k * len(shares)
+        changed = k == 0
+        for step, value in enumerate(values):  # columns that end in this layer
+            ends = order[starts[first + step] : starts[first + step + 1]]
+            layer.ravel()[ends] = value
+            changed |= len(ends) > 0
+        if k > 0:  # what had ended in the layer below
+            over = order[starts[first - len(shares)] : starts[first]]
+            layer.ravel()[over] = 0
+            changed |= len(over) > 0
+        yield layer, changed
 
 
 def _diffused(solid: Solid, grid: VoxelGrid) -> tuple[IntArray, IntArray]:
     """The same as ``_crossings`` for columns whose heights are rounded by error diffusion."""
+    order, starts = _by_top(_tops(solid, grid, "diffused", WHOLE_LAYERS), grid.shape[0])
+    # columns that are not empty begin in the lowest layer; each then ends in the layer above its last
+    below = starts[1:-1]
+    places = np.concatenate([order[below[0] :], order[below[0] : below[-1]]])
+    return np.concatenate([[0], len(order) - below[0] + below - below[0]]), places
+
+
+def _tops(solid: Solid, grid: VoxelGrid, slicing: Slicing, shares: FloatArray) -> IntArray:
+    """(rows * columns,) tops of the columns, see ``tops_of``."""
     from magiclens.geometry.columns import top_heights
 
     floor = grid.first_mm[2] - grid.layer_mm / 2
     heights = np.nan_to_num(top_heights(solid, grid.columns_mm(), grid.rows_mm()) - floor, nan=0.0)
     # diffusion may put a column one layer above the solid's highest point; there is no layer for it
-    ends = np.minimum(layers_of(heights, grid.layer_mm, "diffused"), grid.shape[0]).ravel()
-    order = np.argsort(ends, kind="stable").astype(np.int32)
-    below = np.searchsorted(ends[order], np.arange(grid.shape[0]), "right")  # columns that end below each layer
-    # columns that are not empty begin in the lowest layer; each then ends in the layer above its last
-    places = np.concatenate([order[below[0] :], order[below[0] : below[-1]]])
-    return np.concatenate([[0], len(order) - below[0] + below - below[0]]), places
+    return np.minimum(tops_of(heights, grid.layer_mm, slicing, shares), grid.shape[0] * len(shares)).ravel()
+
+
+def _by_top(tops: IntArray, highest: int) -> tuple[IntArray, IntArray]:
+    """Columns in the order of their tops, and where each top from 0 to the highest starts; at last their number."""
+    order = np.argsort(tops, kind="stable").astype(np.int32)
+    return order, np.searchsorted(tops[order], np.arange(highest + 2), "left")
 
 
 def _crossings(solid: Solid, grid: VoxelGrid) -> tuple[IntArray, IntArray]:

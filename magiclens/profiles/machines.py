@@ -11,12 +11,14 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from magiclens.contract.artifacts import Lens
+from magiclens.contract.artifacts import FloatArray, Lens
 from magiclens.contract.units import ANGLE, LENGTH, Angle, Length
-from magiclens.processes.layers import Slicing
+from magiclens.processes.layers import WHOLE_LAYERS, Grey, Slicing
 from magiclens.processes.linear import LinearProcess
 from magiclens.profiles.data import read_data
 
+_REFUSED = "refused"
+"""The key of entries that only say why a machine cannot make lenses."""
 _SPEED = r"^\d+(\.\d+)? ?mm/(min|s)$"
 """Pattern of the text of a speed."""
 
@@ -104,6 +106,8 @@ class Printer(Machine):
 
     Attributes:
         process: See ``Machine``.
+        shares: (L,) of a layer's height that the top of a column may have, see ``Grey``. Slicers that round plainly
+            make whole layers only: their grey is for edges.
         linear_process: What spreading and the finish leave of the surface.
     """
 
@@ -120,6 +124,7 @@ class Printer(Machine):
     slicing: Slicing = Field(
         "plain", description="how heights become layers: plain rounding, as slicers do it, or error diffusion"
     )
+    grey: Grey | None = Field(None, description="pixels that are exposed in steps; black and white only if left out")
 
     @field_validator("dpi")
     @classmethod
@@ -132,6 +137,11 @@ class Printer(Machine):
     def pixels_mm(self) -> tuple[float, float]:
         """Width and height of a pixel, mm."""
         return 25.4 / self.dpi[0], 25.4 / self.dpi[1]
+
+    @property
+    def shares(self) -> FloatArray:
+        """See ``Printer``."""
+        return self.grey.shares if self.grey and self.slicing == "diffused" else WHOLE_LAYERS
 
     @property
     def linear_process(self) -> LinearProcess:
@@ -151,8 +161,11 @@ class Printer(Machine):
 
     def exporters(self) -> dict[str, dict[str, Any]]:
         """Options for slices at the machine's own resolution."""
-        layers = {"layer": LENGTH.text(self.layer), "slicing": self.slicing}
-        return {"slices": {"dpi_x": self.dpi[0], "dpi_y": self.dpi[1], **layers}}
+        slices: dict[str, Any] = {"dpi_x": self.dpi[0], "dpi_y": self.dpi[1], "layer": LENGTH.text(self.layer)}
+        slices["slicing"] = self.slicing
+        if self.grey:
+            slices["grey"] = self.grey.model_dump(mode="json")
+        return {"slices": slices, "sl1": {**slices, "bed": [LENGTH.text(side) for side in self.bed]}}
 
 
 class Mill(Machine):
@@ -256,4 +269,11 @@ class Profile(BaseModel):
 def machines() -> Mapping[str, Profile]:
     """Every machine by its name in specs."""
     entries = read_data("machines.yaml").items()
-    return MappingProxyType({name: Profile.model_validate(entry) for name, entry in entries})
+    return MappingProxyType({name: Profile.model_validate(entry) for name, entry in entries if _REFUSED not in entry})
+
+
+@cache
+def refused_machines() -> Mapping[str, str]:
+    """Why some machines cannot make lenses, by their names."""
+    entries = read_data("machines.yaml").items()
+    return MappingProxyType({name: entry[_REFUSED].strip() for name, entry in entries if _REFUSED in entry})

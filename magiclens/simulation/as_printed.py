@@ -8,7 +8,7 @@ import numpy as np
 
 from magiclens.contract.artifacts import FloatArray, Solid
 from magiclens.geometry.solid import solid_from_raster
-from magiclens.processes.layers import layers_of
+from magiclens.processes.layers import layers_of_tops, tops_of
 from magiclens.profiles.machines import Printer
 
 _MOST_PIXELS, _MOST_POINTS = 40_000_000, 8_000_000
@@ -18,7 +18,7 @@ _MOST_PIXELS, _MOST_POINTS = 40_000_000, 8_000_000
 def as_printed(solid: Solid, printer: Printer) -> Solid:
     """The body that a printer makes of a solid, layer by layer, at the printer's own pixels.
 
-    A column of pixels gets layers by its height, see ``layers_of``. Material then spreads sideways, and the finish
+    A column of pixels gets layers by its height, see ``tops_of``. Material then spreads sideways, and the finish
     evens the surface out, see ``LinearProcess``. Undercuts fill with support and are lost. The grid's cells are
     vertical (``eye_mm`` is None), and the solid's sides are part of it.
     """
@@ -27,8 +27,9 @@ def as_printed(solid: Solid, printer: Printer) -> Solid:
     pixels = _pixels(solid, printer)
     x, y = (_middles(solid, axis, pixel) for axis, pixel in enumerate(pixels))
     z = np.nan_to_num(top_heights(solid, x, y[::-1]), nan=0.0)
-    layers = np.maximum(layers_of(z, printer.layer, printer.slicing), 1) * printer.layer
-    even = printer.linear_process.of(layers, pixels)
+    shares = printer.shares
+    layers = np.maximum(layers_of_tops(tops_of(z, printer.layer, printer.slicing, shares), shares), 1)
+    even = printer.linear_process.of(layers * printer.layer, pixels)
     # the surface is smooth now: every second pixel says all of it
     every = math.ceil(math.sqrt(even.size / _MOST_POINTS))
     return solid_from_raster(x[::every], y[::-1][::every], np.ascontiguousarray(even[::every, ::every]))
