@@ -160,6 +160,21 @@ def test_layers_are_diffused_where_slices_are_our_own(exporters: str, written: s
     assert [s.stage.slicing for s in plan.exporters if s.stage.type == "slices"] in ([], [slicing])
 
 
+def test_facets_follow_from_what_the_process_rounds(load: Loader) -> None:
+    machine = "fabrication={machine: sla, polish: 0mm, lacquer: {film: %s}}"
+    lens = ("lens.size=100mm", "lens.facets=auto")
+    thin, thick = (load(machine % film, *lens).lens for film in ("5um", "20um"))
+    assert 8 <= thick.facets < thin.facets < 40
+    assert thick.relief_mm > thin.relief_mm == 5.0  # wide facets need more
+    milled = load("fabrication={machine: milling}", *lens).lens
+    assert milled.pitch_mm > 2.0  # the smallest facet that this mill makes
+
+
+def test_auto_facets_need_a_machine(load: Loader) -> None:
+    with pytest.raises(InputError, match="lens.facets: auto needs fabrication.machine"):
+        load("fabrication=null", "lens.facets=auto")
+
+
 def test_printers_of_filament_are_refused_with_the_reason(load: Loader) -> None:
     with pytest.raises(InputError, match=r"fabrication.machine: a printer that melts filament cannot .*lcd-12k"):
         load("fabrication.machine=fdm")

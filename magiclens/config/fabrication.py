@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
 from magiclens.config.checker import Checker
 from magiclens.config.document import Document
-from magiclens.config.model import Choice, LensSpec
+from magiclens.config.model import AUTO, DEFAULT_SIZE, Choice, LensSpec
 from magiclens.config.suggest import advice, unknown
 from magiclens.contract.units import ANGLE, LENGTH
 from magiclens.profiles.machines import Machine, Mill, Printer, Profile, machines, refused_machines
@@ -36,7 +37,11 @@ class Fabrication:
         usual = {key: value for key, value in self.profile.lens.items() if key != "material" or not written.get("ior")}
         usual = {**self.machine.limits, **usual}
         # null in a spec counts as not written where the machine has a default
-        return {**usual, **{key: value for key, value in written.items() if value is not None or key not in usual}}
+        lens = {**usual, **{key: value for key, value in written.items() if value is not None or key not in usual}}
+        if lens.get("facets") == AUTO:
+            with suppress(ValueError):  # a size that is none is reported later
+                lens["facets"] = self.machine.facets_for(LENGTH.parse(lens.get("size", DEFAULT_SIZE)))
+        return lens
 
     def suited(self, scenarios: Mapping[str, Choice], lens: LensSpec) -> dict[str, Choice]:
         """Stages that suit both scenario and machine; where they want different types, the scenario decides.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, field_validator, model_validator
@@ -19,6 +19,15 @@ DEFAULT_STAGES = {"matcher": "exhaustive", "annealer": "heat-bath", "integrator"
 
 DEFAULT_ENCODER = "least-squares"
 """The encoder that runs when a spec wants one without naming it."""
+
+AUTO = "auto"
+"""What a spec writes for ``lens.facets`` to have as many as suit its machine."""
+
+DEFAULT_SIZE = "100mm"
+"""Side of a lens whose spec does not say it."""
+
+_RELIEF_OF_FACETS = 0.6
+"""Relief that facets need, relative to their side, with the usual window; wide ones need more than the usual 5 mm."""
 
 LISTED_STAGES = {"exporters": "exporter", "renderers": "renderer"}
 """The kind of the stages at each key of the pipeline that takes several."""
@@ -35,12 +44,25 @@ def _material_names(schema: dict[str, Any]) -> None:
     schema["anyOf"] = [{"enum": [*materials()]}, {"type": "null"}]
 
 
+def _or_auto(schema: dict[str, Any]) -> None:
+    """Let the JSON Schema of a number take ``auto``, too."""
+    limits = {key: schema.pop(key) for key in ("type", "minimum", "maximum") if key in schema}
+    schema["anyOf"] = [limits, {"const": AUTO}]
+
+
 class LensSpec(SpecModel):
     """The lens: its size, its facets, its material and its limits."""
 
-    size: Length = Field("100mm", validate_default=True, ge=1, le=2000, description="side of the square lens")
+    size: Length = Field(DEFAULT_SIZE, validate_default=True, ge=1, le=2000, description="side of the square lens")
     # strict, here and below: pydantic would take the text '32' for 32, and true for 1
-    facets: int = Field(32, strict=True, ge=1, le=1024, description="facets along one side")
+    facets: int = Field(
+        32,
+        strict=True,
+        ge=1,
+        le=1024,
+        description="facets along one side; auto for as many as suit the machine's process",
+        json_schema_extra=_or_auto,
+    )
     microfacets: int = Field(22, strict=True, ge=1, le=256, description="micro-facets along one side of a facet")
     thickness: Length = Field(
         "40mm", validate_default=True, ge=0.1, le=1000, description="height of the reference plane"
@@ -58,7 +80,11 @@ class LensSpec(SpecModel):
         "0.5um", validate_default=True, ge=1e-5, le=10, description="width of the strip between two facets"
     )
     relief: Length = Field(
-        "5mm", validate_default=True, ge=0.001, le=500, description="how far the top may leave the reference plane"
+        cast(Any, None),
+        validate_default=True,
+        ge=0.001,
+        le=500,
+        description="how far the top may leave the reference plane; 5mm, or more for facets wider than 8mm",
     )
     max_slope: Angle = Field("60deg", validate_default=True, gt=0, lt=90, description="steepest facet")
     cells: Literal["eye", "vertical"] = Field("eye", description="facets are cut along eye rays or vertically")
@@ -85,6 +111,22 @@ class LensSpec(SpecModel):
         if value > pitch / 2:
             raise ValueError(f"the wall is wider than half a facet; at most {LENGTH.text(pitch / 2)}")
         return value
+
+    @field_validator("facets", mode="before")
+    @classmethod
+    def _auto_needs_a_machine(cls, value: Any) -> Any:
+        if value == AUTO:
+            raise ValueError("auto needs fabrication.machine, whose process says how many suit it; 32 are usual")
+        return value
+
+    @field_validator("relief", mode="before")
+    @classmethod
+    def _relief_of_wide_facets(cls, value: Any, info: ValidationInfo) -> Any:
+        if value is not None:
+            return value
+        pitch = info.data.get("size", 0.0) / info.data.get("facets", 1)
+        room = info.data.get("thickness", math.inf) / 2
+        return LENGTH.text(max(5.0, min(round(_RELIEF_OF_FACETS * pitch, 1), room)))
 
     @field_validator("relief")
     @classmethod

@@ -16,6 +16,8 @@ from magiclens.profiles.materials import Material
 
 _THINNEST_MM = 1.0
 """Least thickness where no machine is named."""
+_ROUNDED_SHARE = 0.4
+"""Share of the lens in rounded strips above which fewer facets show more."""
 _CLEAR_DB = 20.0
 """PSNR from which a picture is clear."""
 _POOR_DB = 10.0
@@ -80,7 +82,21 @@ def check_detail(lens: Lens, machine: Machine) -> Finding:
     what = f"facets of {lens.pitch_mm:.3g} mm, {machine.feature:g} mm keep their shape"
     fine = f"; micro-facets of {micro:.3g} mm are finer than the machine's {finest:.3g} mm, which rounds them"
     averaged = micro < finest * (1 - 1e-9)
-    return Finding("detail", "red" if small else "amber" if averaged else "green", what + (fine if averaged else ""))
+    rounded, strips = _strips(lens, machine)
+    status: Status = "red" if small else "amber" if averaged or rounded > _ROUNDED_SHARE else "green"
+    return Finding("detail", status, what + (fine if averaged else "") + strips)
+
+
+def _strips(lens: Lens, machine: Machine) -> tuple[float, str]:
+    """The share of the lens that a printer rounds along facets' borders, and that in words."""
+    if not isinstance(machine, Printer):
+        return 0.0, ""
+    strip = machine.linear_process.strip_mm
+    share = 1 - max(1 - strip / lens.pitch_mm, 0.0) ** 2
+    text = f"; borders are rounded in strips of {strip:.2g} mm, which take {100 * share:.0f} % of the lens"
+    better = machine.facets_for(lens.size_mm)
+    advice = f"; lens.facets: auto would be {better}" if share > _ROUNDED_SHARE and better < lens.facets else ""
+    return share, text + advice
 
 
 def check_tool_reach(file: MeshFile, top: TopTriangles, lens: Lens, mill: Mill) -> Finding:

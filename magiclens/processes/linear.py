@@ -51,6 +51,14 @@ class LinearProcess(BaseModel):
         return 0.5 / math.sqrt(x)
 
     @property
+    def strip_mm(self) -> float:
+        """Width of the strip along a border of two facets in which one slope turns into the other.
+
+        It is 4 sigma of a Gaussian; of a film, which is none, of the Gaussian that leaves as much of ``levelling``.
+        """
+        return 4 * math.hypot(self.spread, self.levelling / (math.sqrt(2) * math.pi))
+
+    @property
     def reach_mm(self) -> float:
         """How far from an edge of the body the surface is no longer as designed."""
         return 6.0 * self.spread + 1.5 * self.levelling
