@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -117,9 +118,9 @@ def test_coloured_pictures_get_coloured_discs(save: Saver, tmp_path: Path) -> No
 
 def test_several_pictures_in_one_source_get_a_wider_window(panda: Path, tmp_path: Path) -> None:
     windows = []
-    for count in (1, 2):
+    for scenario, count in (("single", 1), ("rotating", 2)):
         out = tmp_path / f"{count}.yaml"
-        new_spec("rotating", [panda] * count, out)
+        new_spec(scenario, [panda] * count, out)
         windows.append(planned(out).matcher.stage.model_dump(mode="json")["window"])
     assert windows == ["10%", "20%"]
 
@@ -164,6 +165,36 @@ def test_every_scenario_gets_a_spec_with_comments(scenario: str, panda: Path, sa
     assert sum(line.lstrip().startswith("#") for line in text.splitlines()) >= 5
 
 
+@pytest.mark.parametrize("scenario", LAYOUTS)
+@pytest.mark.parametrize(("machine", "files"), [("sla", ["3mf", "sheet"]), ("lcd-12k", ["3mf", "sl1", "sheet"])])
+def test_a_machine_sets_material_facets_and_files(
+    scenario: str, machine: str, files: list[str], panda: Path, tmp_path: Path
+) -> None:
+    new_spec(scenario, [panda] * LAYOUTS[scenario].least, tmp_path / "my.yaml", made=(machine, "60mm"))
+    plan = planned(tmp_path / "my.yaml")
+    assert plan.lens.size_mm == 60
+    assert plan.lens.facets < 32
+    assert plan.lens.cells == "vertical"
+    assert plan.lens.ior != pytest.approx(1.49)  # a resin, not acrylic
+    assert [step.stage.type for step in plan.exporters] == files
+
+
+@pytest.mark.parametrize(
+    ("made", "message"),
+    [
+        (("slaa", "60mm"), "--machine: unknown machine 'slaa'; did you mean 'sla'?"),
+        (("fdm", "60mm"), "--machine: a printer that melts filament cannot make a lens"),
+        ((None, "60"), "--size: "),
+    ],
+)
+def test_machines_and_sizes_that_are_none_are_explained(
+    made: tuple[str | None, str], message: str, panda: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=re.escape(message)):
+        new_spec("single", [panda], tmp_path / "my.yaml", made=made)
+    assert not (tmp_path / "my.yaml").exists()
+
+
 SMALL = ["lens.size=24mm", "lens.facets=6", "lens.microfacets=4", "lens.relief=9mm"]
 LONG = {"stable-zone", "universal-animation", "question-answer"}
 """Scenarios whose lenses take long."""
@@ -178,7 +209,7 @@ LARGER = {
     "scenario", [pytest.param(name, marks=[pytest.mark.sweep] * (name in LONG)) for name in LAYOUTS]
 )
 def test_every_scenarios_spec_runs(scenario: str, panda: Path, tmp_path: Path) -> None:
-    new_spec(scenario, [panda], tmp_path / "my.yaml")
+    new_spec(scenario, [panda] * LAYOUTS[scenario].least, tmp_path / "my.yaml")
     done = run_plan(
         load_plan(tmp_path / "my.yaml", [*SMALL, *LARGER.get(scenario, []), "report.analyses=[]"]), tmp_path / "out"
     )
@@ -223,7 +254,7 @@ def test_pictures_that_cannot_be_used_are_named_and_nothing_is_written(
     [
         (["singel", "{panda}"], "SCENARIO: unknown scenario 'singel'; did you mean 'single'?"),
         (["single", "{panda}", "{panda}"], "PICTURES: single takes one picture, got 2"),
-        (["rotating", *["{panda}"] * 5], "PICTURES: rotating takes 1 to 4 pictures, got 5"),
+        (["rotating", *["{panda}"] * 5], "PICTURES: rotating takes 2 to 4 pictures, got 5"),
         (["multi-pair", "{panda}", "--source", "{panda}"], "--source: multi-pair makes its sources itself"),
         (["single", "{panda}", "--question", "Who?"], "--question: single asks nothing"),
         (["question-answer", "{panda}", "--question", "A", "--question", "B"], "--question: 2 questions for 1"),

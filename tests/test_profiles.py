@@ -171,7 +171,7 @@ def test_facets_follow_from_what_the_process_rounds(load: Loader) -> None:
 
 
 def test_auto_facets_need_a_machine(load: Loader) -> None:
-    with pytest.raises(InputError, match="lens.facets: auto needs fabrication.machine"):
+    with pytest.raises(InputError, match=r"lens.facets: auto needs fabrication.machine"):
         load("fabrication=null", "lens.facets=auto")
 
 

@@ -33,6 +33,13 @@ def new_command(
         list[str] | None,
         typer.Option("--question", metavar="TEXT", help="For question-answer: one per picture.", show_default=False),
     ] = None,
+    machine: Annotated[
+        str | None,
+        typer.Option(
+            "--machine", metavar="NAME", help="What makes the lens: sla, lcd-12k, milling, ...", show_default=False
+        ),
+    ] = None,
+    size: Annotated[str, typer.Option("--size", metavar="LENGTH", help="Side of the lens, such as 60mm.")] = "100mm",
     force: Annotated[bool, typer.Option("--force", help="Write over a file that is there.")] = False,
     traceback: Traceback = False,
 ) -> None:
@@ -40,5 +47,5 @@ def new_command(
     with reporting(traceback):
         from magiclens.new.write import new_spec
 
-        new_spec(scenario, pictures, out, source, questions or (), force)
+        new_spec(scenario, pictures, out, source, questions or (), (machine, size), force)
         typer.echo(f"{out}: written. Read it, change what you like, then: mlens run {out}")

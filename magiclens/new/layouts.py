@@ -6,7 +6,9 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from magiclens.contract.units import LENGTH
 from magiclens.new.assess import Assessment
+from magiclens.profiles.machines import machines
 
 
 @dataclass(frozen=True)
@@ -17,11 +19,19 @@ class Request:
         pictures: What the lens shall show: paths as the spec writes them, and what was found in each picture.
         source: Path of the user's own source; None for discs.
         questions: The user's questions, one per picture or none.
+        machine: Name of the machine that makes the lens; None if it is left open.
+        size_mm: Side of the lens.
     """
 
     pictures: Sequence[tuple[str, Assessment]]
     source: str | None = None
     questions: Sequence[str] = ()
+    machine: str | None = None
+    size_mm: float = 100.0
+
+    def wider(self, factor: float) -> str:
+        """So many times the lens's side, as a spec writes it."""
+        return LENGTH.text(round(factor * self.size_mm, 6))
 
     @property
     def coloured(self) -> bool:
@@ -121,7 +131,7 @@ def _multi_pair(request: Request) -> list[str]:
 def _multi_view(request: Request) -> list[str]:
     # refraction takes an eye tilted by 15 deg sin(15 deg) / 1.49 * 40 mm = 7 mm past the edge; the window needs more
     lines = [
-        *_source(request, "120mm"),
+        *_source(request, request.wider(1.2)),
         "# The source is larger than the lens, since tilted eyes look past its edge. Azimuth 0deg is to the right.",
         "views:",
     ]
@@ -133,7 +143,7 @@ def _multi_view(request: Request) -> list[str]:
 
 
 def _stable_zone(request: Request) -> list[str]:
-    return [*_one_target(request, "104mm"), "cone: 1.15deg   # apex of the cone in which the picture stays"]
+    return [*_one_target(request, request.wider(1.04)), "cone: 1.15deg   # apex of the cone in which the picture stays"]
 
 
 def _animation(request: Request) -> list[str]:
@@ -164,43 +174,64 @@ def _questions(request: Request) -> list[str]:
     return [*lines, "margin: 1.5mm   # kept free around the questions", "camouflage: {type: texture}"]
 
 
-def _lens(facets: int, microfacets: int, why: str) -> list[str]:
+def _lens(request: Request, facets: int | str, microfacets: int, why: str) -> list[str]:
+    # the machine's own material and thickness, where one is named
+    usual = [] if request.machine else ["thickness: 40mm   # thicker lenses reach further with flatter facets"]
+    material = [] if request.machine else ["material: acrylic"]
     return [
-        "size: 100mm",
+        f"size: {request.wider(1)}",
         f"# {why}",
         f"facets: {facets}",
         f"microfacets: {microfacets}   # flat cells along a facet's side; more of them are smoother and take longer",
-        "thickness: 40mm   # thicker lenses reach further with flatter facets",
+        *usual,
         "gap: 0mm   # the lens lies on the source",
-        "material: acrylic",
+        *material,
     ]
 
 
 def _matched_lens(request: Request) -> list[str]:
+    if request.machine:
+        why = f"As many as suit {request.machine}, which rounds the borders of facets: 'mlens plan' says how many."
+        return _lens(request, "auto", 22, why)
     if request.fine:
         names = " and ".join(request.fine[:2])
-        return _lens(64, 16, f"64 x 64 facets: {names} would lose detail in 32 x 32, which are 4 times quicker.")
-    return _lens(32, 22, "32 x 32 facets are enough for bold drawings; 64 show finer strokes and take longer.")
+        return _lens(
+            request, 64, 16, f"64 x 64 facets: {names} would lose detail in 32 x 32, which are 4 times quicker."
+        )
+    why = "32 x 32 facets are enough for bold drawings; 64 show finer strokes and take longer."
+    return _lens(request, 32, 22, why)
 
 
-def _stable_zone_lens(_: Request) -> list[str]:
-    return _lens(64, 11, "Nine eyes share every facet: many small ones keep the picture. 128 are better, and slow.")
+def _stable_zone_lens(request: Request) -> list[str]:
+    if request.machine:
+        return _matched_lens(request)
+    why = "Nine eyes share every facet: many small ones keep the picture. 128 are better, and slow."
+    return _lens(request, 64, 11, why)
 
 
-def _universal_lens(_: Request) -> list[str]:
-    return _lens(16, 64, "Each facet shows a patch as fine as it is painted, so that a few large facets are best.")
+def _universal_lens(request: Request) -> list[str]:
+    why = "Each facet shows a patch as fine as it is painted, so that a few large facets are best."
+    return _lens(request, 16, 64, why)
 
 
-def _pipeline(*matching: str) -> list[str]:
+def _pipeline(request: Request, *matching: str) -> list[str]:
     return [
         *matching,
-        "exporters: [{type: stl}]   # also 3mf, obj, ply, glb, sheet (the source, to print); see 'mlens plugins'",
+        _exporters(request),
         "renderers: [{type: tracer}]   # and {type: mitsuba}, which traces the exported mesh independently",
     ]
 
 
-def _one_target_pipeline(_: Request) -> list[str]:
+def _exporters(request: Request) -> str:
+    if request.machine:
+        files = ", ".join(f"{{type: {name}}}" for name in [*machines()[request.machine].files, "sheet"])
+        return f"exporters: [{files}]   # what the machine reads, and the source to print; see 'mlens plugins'"
+    return "exporters: [{type: stl}]   # also 3mf, obj, ply, glb, sheet (the source, to print); see 'mlens plugins'"
+
+
+def _one_target_pipeline(request: Request) -> list[str]:
     return _pipeline(
+        request,
         "# A tenth of the source's width is enough to choose from for one picture; more makes facets steeper.",
         "matcher: {type: exhaustive, window: 10%}",
     )
@@ -211,32 +242,38 @@ def _several_targets_pipeline(request: Request) -> list[str]:
     if count == 1:
         return _one_target_pipeline(request)
     return _pipeline(
+        request,
         f"# One patch must suit {count} pictures: in twice the usual window are four times as many to choose from.",
         "matcher: {type: exhaustive, window: 20%}",
     )
 
 
-def _tilted_eyes_pipeline(_: Request) -> list[str]:
+def _tilted_eyes_pipeline(request: Request) -> list[str]:
     return _pipeline(
+        request,
         "# Facets are matched again at the heights they get, as these move them in the pictures of tilted eyes.",
         "rematch: 2",
         "matcher: {type: multi-view}",
     )
 
 
-def _stable_zone_pipeline(_: Request) -> list[str]:
+def _stable_zone_pipeline(request: Request) -> list[str]:
     return _pipeline(
+        request,
         "# Small maps keep plain areas plain while the eye moves, large ones keep edges in position.",
         "matcher: {type: multi-view, scales: [0.15, 2.5], step: 0.3mm, pixels: 4, candidates: 49, polish: 12}",
     )
 
 
-def _universal_pipeline(_: Request) -> list[str]:
-    return _pipeline("# The usual matcher here draws a sub-region for every facet; the encoder paints the sources.")
-
-
-def _question_pipeline(_: Request) -> list[str]:
+def _universal_pipeline(request: Request) -> list[str]:
     return _pipeline(
+        request, "# The usual matcher here draws a sub-region for every facet; the encoder paints the sources."
+    )
+
+
+def _question_pipeline(request: Request) -> list[str]:
+    return _pipeline(
+        request,
         "# Facets over the question show patches beside it, so they reach further than usual.",
         "matcher: {type: dart-throwing, reach: 8%}",
     )
@@ -248,7 +285,7 @@ LAYOUTS = {
         _single, _matched_lens, _one_target_pipeline,
     ),
     "rotating": Layout(
-        "A picture at every quarter turn", 1, 4,
+        "A picture at every quarter turn", 2, 4,
         _rotating, _matched_lens, _several_targets_pipeline,
     ),
     "multi-pair": Layout(

@@ -11,11 +11,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from magiclens.config.model import DEFAULT_SIZE
 from magiclens.config.suggest import unknown
 from magiclens.contract.errors import InputError
+from magiclens.contract.units import LENGTH
 from magiclens.images import read_image
 from magiclens.new.assess import assess
 from magiclens.new.layouts import LAYOUTS, Request
+from magiclens.profiles.machines import machines, refused_machines
 
 _COMMENT_WIDTH = 110
 """Largest number of characters in a line of comment."""
@@ -27,6 +30,7 @@ def new_spec(
     out: Path,
     source: Path | None = None,
     questions: Sequence[str] = (),
+    made: tuple[str | None, str] = (None, DEFAULT_SIZE),
     force: bool = False,
 ) -> str:
     """Write a spec for a user's pictures.
@@ -37,6 +41,7 @@ def new_spec(
         out: The file to write.
         source: File of the source; None for random discs.
         questions: For question-answer, one per picture or none.
+        made: Name of the machine, None if it is left open; the lens's side, with its unit.
         force: Whether to overwrite ``out`` if it exists.
 
     Returns:
@@ -54,7 +59,8 @@ def new_spec(
     if source:
         read_image(source)
     assessed = tuple((files.path(path), assess(path)) for path in pictures)
-    request = Request(assessed, files.path(source) if source else None, tuple(questions))
+    machine, size_mm = _checked(*made)
+    request = Request(assessed, files.path(source) if source else None, tuple(questions), machine, size_mm)
     text = _text(scenario, request, [path.name for path in pictures], out.name)
     _write(out, text)
     return text
@@ -88,6 +94,16 @@ def _check_request(scenario: str, pictures: int, source: bool, questions: int) -
         raise InputError(f"{questions} questions for {pictures} pictures; write one for each", "--question")
 
 
+def _checked(machine: str | None, size: str) -> tuple[str | None, float]:
+    """The machine and the lens's side, mm."""
+    if machine is not None and machine not in machines():
+        raise InputError(refused_machines().get(machine) or unknown("machine", machine, machines()), "--machine")
+    try:
+        return machine, LENGTH.parse(size)
+    except ValueError as error:
+        raise InputError(str(error), "--size") from None
+
+
 def _check_out(out: Path, force: bool) -> None:
     if out.is_dir() or not out.parent.is_dir():
         raise InputError(f"'{out}' cannot be a file: name a spec file (.yaml) in a folder that is there", "--out")
@@ -115,6 +131,7 @@ def _text(scenario: str, request: Request, names: Sequence[str], out: str) -> st
             "",
             "viewer: {distance: 400mm}                 # from the lens to the eye, straight above its centre",
             "",
+            *([f"fabrication: {{machine: {request.machine}}}", ""] if request.machine else []),
             "pipeline:",
             *_indented(pipeline),
             "",

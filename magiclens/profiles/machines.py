@@ -267,6 +267,7 @@ class Profile(BaseModel):
     title: str = Field(min_length=1, description="what it is, in words")
     process: Literal["printing", "milling"]
     source: str = Field(min_length=1, description="where the numbers come from")
+    files: list[str] = Field([], description="exporters whose files it, or the program that comes with it, reads")
     options: dict[str, Any]
     lens: dict[str, Any] = Field({}, description="spec keys under lens, where the spec does not write them")
     stages: dict[str, dict[str, Any]] = Field({}, description="options of stages that suit it, by kind")
