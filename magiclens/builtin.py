@@ -36,6 +36,7 @@ def mlens_stages() -> Sequence[type[Stage]]:
     from magiclens.matching.dart_throwing import DartThrowing
     from magiclens.matching.exhaustive import Exhaustive
     from magiclens.matching.multi_view import MultiViewMatcher
+    from magiclens.meshing.manifold import ManifoldFinisher
     from magiclens.meshing.pymeshlab import Pymeshlab
     from magiclens.milling.gcode import Gcode
     from magiclens.milling.rml import Rml
@@ -43,10 +44,11 @@ def mlens_stages() -> Sequence[type[Stage]]:
     from magiclens.rendering.tracer import Tracer
 
     matching: list[type[Stage]] = [Exhaustive, MultiViewMatcher, DartThrowing]
-    design: list[type[Stage]] = [HeatBath, Metropolis, Poisson, LeastSquaresIntegrator, Pymeshlab, LeastSquaresEncoder]
+    shaping: list[type[Stage]] = [HeatBath, Metropolis, Poisson, LeastSquaresIntegrator]
+    finishing: list[type[Stage]] = [Pymeshlab, ManifoldFinisher, LeastSquaresEncoder]
     meshes: list[type[Stage]] = [Stl, Ply, Obj, ThreeMf, Glb]
     machines: list[type[Stage]] = [HeightMap, Slices, Sl1, Gcode, Rml, PrintSheet, Monitor]
-    return [*matching, *design, *meshes, *machines, Tracer, Mitsuba]
+    return [*matching, *shaping, *finishing, *meshes, *machines, Tracer, Mitsuba]
 
 
 @hookimpl

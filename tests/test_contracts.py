@@ -27,6 +27,7 @@ from magiclens.integration.poisson import Poisson
 from magiclens.matching.dart_throwing import DartThrowing
 from magiclens.matching.exhaustive import Exhaustive
 from magiclens.matching.multi_view import MultiViewMatcher
+from magiclens.meshing.manifold import ManifoldFinisher
 from magiclens.meshing.pymeshlab import Pymeshlab
 from magiclens.milling.gcode import Gcode
 from magiclens.milling.rml import Rml
@@ -88,6 +89,10 @@ class TestPymeshlab(FinisherContract):
 
 class TestSmoothing(FinisherContract):
     stage = Pymeshlab(smoothing="1um")
+
+
+class TestManifold(FinisherContract):
+    stage = ManifoldFinisher(self_intersections="always")
 
 
 class TestEncoding(EncoderContract):

@@ -74,6 +74,18 @@ def test_a_package_that_is_missing_makes_it_unfit(registry: Registry, monkeypatc
     assert "pip install trimesh" in diagnoses_text(diagnoses)
 
 
+def test_pymeshlab_may_be_missing(registry: Registry, monkeypatch: pytest.MonkeyPatch) -> None:
+    def known(name: str) -> str:
+        if name == "pymeshlab":
+            raise PackageNotFoundError
+        return version(name)
+
+    monkeypatch.setattr("importlib.metadata.version", known)
+    diagnoses = examine(registry)
+    assert not unfit(diagnoses)
+    assert "the finisher is manifold" in diagnoses_text(diagnoses)
+
+
 def test_a_broken_library_makes_it_unfit(registry: Registry, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: object) -> None:
         raise OSError("libfreetype is gone")

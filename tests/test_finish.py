@@ -12,7 +12,9 @@ from pydantic import ValidationError
 
 from magiclens.contract.artifacts import FloatArray, HeightField, IntArray, Lens, Scene, Solid
 from magiclens.contract.errors import StageError
-from magiclens.meshing.intersections import _is_star, cannot_cut_itself, faces_that_cut
+from magiclens.contract.stages import Finisher
+from magiclens.meshing.intersections import _is_star, cannot_cut_itself, faces_by_manifold, faces_that_cut
+from magiclens.meshing.manifold import ManifoldFinisher
 from magiclens.meshing.pymeshlab import Pymeshlab
 from magiclens.meshing.validation import (
     as_exported,
@@ -182,12 +184,25 @@ def test_sound_solid_passes_and_everyone_agrees(eye: tuple[float, float, float] 
         assert found["volume_mm3"] == pytest.approx(volume, rel=1e-6)
 
 
+@pytest.mark.parametrize("finisher", [Pymeshlab(), ManifoldFinisher()], ids=lambda finisher: finisher.type)
 @pytest.mark.parametrize("broken", BROKEN)
 @pytest.mark.parametrize("eye", EYES.values(), ids=EYES.keys())
-def test_broken_solid_is_refused_with_the_facet_named(broken: str, eye: tuple[float, float, float] | None) -> None:
+def test_broken_solid_is_refused_with_the_facet_named(
+    finisher: Finisher, broken: str, eye: tuple[float, float, float] | None
+) -> None:
     breaks, complaint = BROKEN[broken]
     with pytest.raises(StageError, match=f"{complaint}.*the first at facet row 1, column [34]"):
-        Pymeshlab().finish(SCENE, breaks(lens_solid(eye)))
+        finisher.finish(SCENE, breaks(lens_solid(eye)))
+
+
+@pytest.mark.parametrize("eye", EYES.values(), ids=EYES.keys())
+@pytest.mark.parametrize("breaks", [lens_solid, with_overhang], ids=lambda breaks: breaks.__name__)
+def test_both_finishers_measure_the_same(eye: tuple[float, float, float] | None, breaks: Callable[..., Solid]) -> None:
+    solid = lens_solid(eye) if breaks is lens_solid else breaks(lens_solid(eye))
+    finishers = [Pymeshlab(self_intersections="always"), ManifoldFinisher(self_intersections="always")]
+    one, other = (finisher.finish(SCENE, solid) for finisher in finishers)
+    assert one.metrics == other.metrics
+    assert other.vertices is solid.vertices
 
 
 @pytest.mark.parametrize(
@@ -294,6 +309,19 @@ def test_reasoning_never_passes_what_the_search_finds(seed: int) -> None:
     vertices[moved] += rng.normal(0, rng.choice([0.001, 0.05, 0.5]), (2, 3))
     shaken = as_exported(Solid(vertices, solid.faces, solid.grid, solid.eye_mm))
     assert not (cannot_cut_itself(shaken) and len(faces_that_cut(shaken)))
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_manifold3d_finds_a_cut_where_pymeshlab_does(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    solid = lens_solid([*EYES.values()][seed % 3], seed=seed)
+    vertices = solid.vertices.copy()
+    moved = rng.integers(0, len(vertices), 2)
+    vertices[moved] += rng.normal(0, rng.choice([0.001, 0.05, 0.5]), (2, 3))
+    shaken = as_exported(Solid(vertices, solid.faces, solid.grid, solid.eye_mm))
+    cut, theirs = set(faces_by_manifold(shaken)), set(faces_that_cut(shaken))
+    assert bool(cut) == bool(theirs)
+    assert not cut or cut & theirs
 
 
 def test_overlap_shows_in_the_volume_of_a_self_union() -> None:

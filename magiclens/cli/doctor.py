@@ -50,6 +50,9 @@ class _Program:
     get: str
 
 
+_OPTIONAL = {"pymeshlab": "smooths meshes; without it, the finisher is manifold, which only checks them"}
+"""Packages that a default install brings and that magiclens can do without, and what they are for."""
+
 _PROGRAMS = (
     _Program("PrusaSlicer", ("prusa-slicer",), "the tests check meshes with it", "apt install prusa-slicer"),
     _Program("admesh", ("admesh",), "the tests check STL files with it", "apt install admesh"),
@@ -152,10 +155,11 @@ def _bare(requirement: str) -> str:
 def _package(name: str) -> Diagnosis:
     from importlib.metadata import PackageNotFoundError, version
 
+    needed, use = name not in _OPTIONAL, f"{_OPTIONAL[name]}: " if name in _OPTIONAL else ""
     try:
-        return Diagnosis(name, "ok", version(name), True)
+        return Diagnosis(name, "ok", version(name), needed)
     except PackageNotFoundError:
-        return Diagnosis(name, "missing", "", True, f"pip install {name}")
+        return Diagnosis(name, "missing", "", needed, f"{use}pip install {name}")
 
 
 def _plugins(registry: Registry) -> Diagnosis:

@@ -46,6 +46,7 @@ def run_command(
     with reporting(traceback):
         from magiclens.cache.folder import keep_nothing
         from magiclens.plan.compile import load_plan
+        from magiclens.running.feasible import require_feasible
         from magiclens.running.observers import Observer, terminal_observer
         from magiclens.running.pipeline import kept_run
         from magiclens.running.termination import end_on_sigterm
@@ -56,6 +57,7 @@ def run_command(
         # progress goes to standard error, so that standard output holds the result alone
         observer = Observer() if quiet or as_json else terminal_observer(sys.stderr)
         plan = load_plan(spec, overrides)
+        require_feasible(plan)
         folder = out or Path("out", plan.spec.name)
         manifest = kept_run(plan, folder, observer) or _run(plan, spec, overrides, folder, observer)
         print_result(lambda: _summary(folder, manifest), lambda: {"folder": str(folder), **manifest}, quiet, as_json)
@@ -67,8 +69,10 @@ def check_command(
     """Check SPEC without running it."""
     with reporting(traceback):
         from magiclens.plan.compile import load_plan
+        from magiclens.running.feasible import require_feasible
 
         plan = load_plan(spec, overrides)
+        require_feasible(plan)
         scenario, views = plan.scenario.type, [shot.name for shot in plan.shots()]
         data = {"spec": str(spec), "name": plan.spec.name, "scenario": scenario, "views": views}
         print_result(lambda: f"{spec}: ok, {scenario}, views: {', '.join(views)}", lambda: data, quiet, as_json)
@@ -87,8 +91,10 @@ def plan_command(
     with reporting(traceback):
         from magiclens.plan.compile import load_plan
         from magiclens.plan.describe import describe_plan
+        from magiclens.running.feasible import require_feasible
 
         plan = load_plan(spec, overrides)
+        require_feasible(plan)
         if why:
             _print_forecast(plan, as_json)
         else:

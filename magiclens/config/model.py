@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, cast
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
+from magiclens.config.optional import PYMESHLAB, is_installed
 from magiclens.config.suggest import quoted, unknown
 from magiclens.contract.artifacts import FloatArray, Lens
 from magiclens.contract.units import FRACTION, LENGTH, Angle, Fraction, Length
@@ -16,6 +17,9 @@ from magiclens.profiles.materials import materials
 
 DEFAULT_STAGES = {"matcher": "exhaustive", "annealer": "heat-bath", "integrator": "poisson", "finisher": "pymeshlab"}
 """The stage of each kind that runs when neither the spec nor the scenario chooses."""
+
+FREE_FINISHER = "manifold"
+"""The finisher that runs in place of the default one where pymeshlab is not installed."""
 
 DEFAULT_ENCODER = "least-squares"
 """The encoder that runs when a spec wants one without naming it."""
@@ -261,9 +265,19 @@ class PipelineSpec(SpecModel):
         wanted = kind in DEFAULT_STAGES or kind in suited or written is not None or self.codesign > 0
         if not wanted:
             return None
-        usual = suited.get(kind) or {"type": DEFAULT_STAGES.get(kind, DEFAULT_ENCODER)}
         written = written or {}
+        usual = suited.get(kind) or {"type": self._default(kind)}
         return {**usual, **written} if written.get("type", usual["type"]) == usual["type"] else written
+
+    @property
+    def without_pymeshlab(self) -> bool:
+        """Whether the finisher is left to magiclens, and the default one cannot run; options are taken as a choice."""
+        return not self.finisher and not is_installed(PYMESHLAB)
+
+    def _default(self, kind: str) -> str:
+        if kind == "finisher" and self.without_pymeshlab:
+            return FREE_FINISHER
+        return DEFAULT_STAGES.get(kind, DEFAULT_ENCODER)
 
 
 class ReportSpec(SpecModel):

@@ -58,6 +58,14 @@ class Stage(BaseModel, ABC):
         """
         return None
 
+    def lacks(self) -> str | None:
+        """What the stage needs and this machine does not have, such as a library, and what to do about it.
+
+        Returns:
+            A sentence; None if nothing is lacking. It is asked for before every run, so it must be quick.
+        """
+        return None
+
 
 class Matcher(Stage):
     """Finds, for every facet, patches of the source that resemble its tile of the target (4.2).

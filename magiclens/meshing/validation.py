@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -12,6 +12,9 @@ from magiclens.contract.artifacts import IntArray, Solid
 from magiclens.meshing.intersections import cannot_cut_itself, faces_that_cut
 
 Search = Literal["auto", "always", "never"]
+
+FaceSearch = Callable[[Solid], IntArray]
+"""From a closed solid to the indices (F,) of its faces that cut others."""
 
 
 @dataclass(frozen=True)
@@ -34,20 +37,21 @@ class Validation:
         return Validation({**self.metrics, **other.metrics}, self.flaws + other.flaws)
 
 
-def validate(solid: Solid, search: Search = "auto") -> Validation:
+def validate(solid: Solid, search: Search = "auto", find: FaceSearch = faces_that_cut) -> Validation:
     """All checks of this module; those that need a closed, oriented surface are left out when there is none.
 
     Args:
         solid: it is checked as a float32 file will hold it.
         search: whether faces that cut others are searched for; `auto`: where the solid's structure does not exclude
             them.
+        find: how they are searched for.
     """
     exported = as_exported(solid)
     found = check_topology(exported) + check_areas(exported)
     if not found.flaws:
         found += check_volume(exported)
     if not found.flaws and search != "never":
-        found += check_self_intersections(exported, reason=search == "auto")
+        found += check_self_intersections(exported, search == "auto", find)
     return found
 
 
@@ -138,11 +142,11 @@ def check_volume(solid: Solid) -> Validation:
     return Validation({"volume_mm3": volume, "outward_normals": float(volume > 0)}, flaws)
 
 
-def check_self_intersections(solid: Solid, reason: bool) -> Validation:
+def check_self_intersections(solid: Solid, reason: bool, find: FaceSearch = faces_that_cut) -> Validation:
     """No face cuts another one. The search takes long; ``reason`` spares it where the solid's structure allows."""
     if reason and cannot_cut_itself(solid):
         return Validation({"self_intersections": 0.0}, ())
-    cut = faces_that_cut(solid)
+    cut = find(solid)
     flaws = (Flaw("faces that cut through others", len(cut), int(solid.faces[cut[0]].min())),) if len(cut) else ()
     return Validation({"self_intersections": float(len(cut))}, flaws)
 

@@ -13,7 +13,7 @@ from magiclens.config.document import Document, Keys, read_document
 from magiclens.config.fabrication import Fabrication, find_fabrication
 from magiclens.config.fields import Context, Inputs
 from magiclens.config.load import check_spec
-from magiclens.config.model import DEFAULT_STAGES, LISTED_STAGES, Choice, PipelineSpec, Spec
+from magiclens.config.model import DEFAULT_STAGES, FREE_FINISHER, LISTED_STAGES, Choice, PipelineSpec, Spec
 from magiclens.config.suggest import advice, unknown
 from magiclens.contract.artifacts import Lens, Scene
 from magiclens.contract.stages import Annealer, Encoder, Exporter, Finisher, Integrator, Matcher, Renderer, Stage
@@ -93,6 +93,7 @@ class Plan:
         renderers: The stages that simulate what the eye sees.
         fabrication: The machine that makes the lens, if the spec names one.
         registry: Where scenario, stages and named pictures were found.
+        document: What was compiled; it knows where each option was written.
     """
 
     spec: Spec
@@ -108,6 +109,7 @@ class Plan:
     renderers: tuple[Step[Renderer], ...]
     fabrication: Fabrication | None
     registry: Registry = field(repr=False, compare=False)
+    document: Document = field(repr=False, compare=False)
 
     @property
     def steps(self) -> tuple[Step[Any], ...]:
@@ -130,6 +132,11 @@ class Plan:
     def _applies(self, planned: PlannedAnalysis) -> bool:
         with blaming(str(planned)):
             return bool(planned.analysis.applies(self))
+
+    def notices(self) -> tuple[str, ...]:
+        """What a user ought to hear of the plan, though nothing is wrong."""
+        plain = self.spec.pipeline.without_pymeshlab and self.finisher.stage.type == FREE_FINISHER
+        return (f"pymeshlab is not installed: the finisher is {FREE_FINISHER}",) if plain else ()
 
     def shots(self) -> tuple[Shot, ...]:
         """The views before their pictures are loaded."""
@@ -231,6 +238,7 @@ class _Compiler:
             renderers=tuple(settle(step) for step in steps["renderers"]),
             fabrication=self._fabrication,
             registry=self._registry,
+            document=self._document,
         )
 
     def _scenario(self) -> tuple[Scenario, Plugin] | tuple[None, None]:

@@ -17,6 +17,7 @@ from magiclens.contract.result import RunResult
 from magiclens.plan.compile import Plan, compile_plan, load_plan
 from magiclens.plan.registry import Registry
 from magiclens.running.answers import Answer, Questions
+from magiclens.running.feasible import require_feasible
 from magiclens.running.folder import place_for
 from magiclens.running.ingredients import key_of, of_run
 from magiclens.running.making import make_lens
@@ -128,11 +129,12 @@ def run_plan(plan: Plan, out_dir: str | Path, observer: Observer | None = None, 
         StageError: A stage failed or broke its contract.
     """
     out, observer = Path(out_dir), observer or Observer()
+    require_feasible(plan)
     place = place_for(out)
     cache = cache or usual_cache(observer.notice)
     made_of = of_run(plan) if cache else None  # now: files that the spec names may be edited during the run
     steps = Steps(plan, observer, cache)
-    _tell_failures(plan, observer)
+    _tell_notices(plan, observer)
     try:
         with atomic_folder(place, observer.notice) as folder:
             result = _make(plan, folder, steps)
@@ -175,7 +177,7 @@ def kept_run(
             whole = write_manifest(folder, entry.facts, steps.timings())
     except _Incomplete:
         return None
-    _tell_failures(plan, observer)
+    _tell_notices(plan, observer)
     observer.reused("the whole run")
     observer.stopped()
     steps.tell("mlens_run_done", folder=out, manifest=whole)
@@ -186,7 +188,9 @@ class _Incomplete(Exception):
     """Some file of a run is not in the cache any more."""
 
 
-def _tell_failures(plan: Plan, observer: Observer) -> None:
+def _tell_notices(plan: Plan, observer: Observer) -> None:
+    for notice in plan.notices():
+        observer.notice(notice)
     for failure in plan.registry.failures:
         observer.notice(f"{failure}; see 'mlens plugins'")
 
