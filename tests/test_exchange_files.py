@@ -234,7 +234,7 @@ def test_height_map_of_a_flat_top_is_white_and_knows_its_height(tmp_path: Path) 
 
 @pytest.mark.parametrize(("pixel", "near"), [("8mm", "5mm"), ("0.1um", "0.0007mm")])
 def test_height_map_of_too_many_or_too_few_pixels_is_refused(pixel: str, near: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=f"exporter heightmap: pixel: .* the nearest is '{near}'"):
+    with pytest.raises(InputError, match=f"pixels; .* per side are possible, the nearest is '{near}'"):
         written(HeightMap(pixel=pixel), tmp_path, flat())
     side = LENS.size_mm / HeightMap(pixel=near).pixel
     assert 2 <= round(side) <= 16384

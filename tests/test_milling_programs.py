@@ -231,10 +231,10 @@ def test_faults_are_found(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"cutter": {**V, "reach": "0.5mm"}}, "exporter gcode: reach: the cutter for finishing reaches 0.5mm deep,"),
+        ({"cutter": {**V, "reach": "0.5mm"}}, "the cutter for finishing reaches 0.5mm deep,"),
         ({"rougher": {**BALL, "reach": "0.5mm"}}, "the cutter for roughing reaches 0.5mm deep, the lens needs"),
-        ({"stock": "8mm"}, "exporter gcode: stock: the plate of 8mm is thinner than the lens; it needs 8.5mm"),
-        ({"bed": ("1mm", "1mm")}, "exporter gcode: bed: a bed of 1mm x 1mm would take more than 64 tiles; use"),
+        ({"stock": "8mm"}, "the plate of 8mm is thinner than the lens; it needs 8.5mm"),
+        ({"bed": ("1mm", "1mm")}, "a bed of 1mm x 1mm would take more than 64 tiles; use"),
         ({"bed": ("0.1mm", "9mm")}, "a bed of 0.1mm x 9mm would take more than 64 tiles"),
     ],
 )

@@ -19,11 +19,13 @@ class HeatBath(Annealer):
 
     type: ClassVar[str] = "heat-bath"
 
-    sweeps: int = Field(60, ge=1, description="sweeps over all facets while cooling")
-    temperature: float = Field(0.003, ge=0, description="at the start, in mean squared display values")
-    loss_weight: float = Field(1.0, ge=0, description="weight of light lost at walls; 1 is what it costs the picture")
-    step_weight: float = Field(0.002, ge=0, description="cost of a squared step per facet edge, per mm^2")
-    screening: float = Field(1e-5, ge=0, description="cost of a facet's squared height, per mm^2")
+    sweeps: int = Field(60, ge=1, le=10_000, description="sweeps over all facets while cooling")
+    temperature: float = Field(0.003, ge=0, le=100, description="at the start, in mean squared display values")
+    loss_weight: float = Field(
+        1.0, ge=0, le=1e6, description="weight of light lost at walls; 1 is what it costs the picture"
+    )
+    step_weight: float = Field(0.002, ge=0, le=1e6, description="cost of a squared step per facet edge, per mm^2")
+    screening: float = Field(1e-5, ge=0, le=1e6, description="cost of a facet's squared height, per mm^2")
 
     def anneal(
         self, scene: Scene, candidates: Candidates, rng: np.random.Generator, progress: Progress = silent

@@ -16,15 +16,15 @@ class Metropolis(Annealer):
 
     type: ClassVar[str] = "metropolis"
 
-    alpha: float = Field(0.125, ge=0, description="weight of differences between neighbouring normals")
-    beta: float = Field(0.375, ge=0, description="weight of normals turning sideways")
-    gamma: float = Field(0.5, ge=0, description="weight of the normals' curl, which no surface can have")
+    alpha: float = Field(0.125, ge=0, le=1e6, description="weight of differences between neighbouring normals")
+    beta: float = Field(0.375, ge=0, le=1e6, description="weight of normals turning sideways")
+    gamma: float = Field(0.5, ge=0, le=1e6, description="weight of the normals' curl, which no surface can have")
     acceptance: float = Field(
-        0.002, ge=0, description="candidates worse than a facet's best by more than this error are not used"
+        0.002, ge=0, le=1e6, description="candidates worse than a facet's best by more than this error are not used"
     )
-    swaps: int = Field(25, ge=1, description="swaps tried per facet and round")
-    rounds: int = Field(200, ge=1, description="rounds, at most")
-    patience: int = Field(10, ge=1, description="stop after this many rounds in a row without progress")
+    swaps: int = Field(25, ge=1, le=10_000, description="swaps tried per facet and round")
+    rounds: int = Field(200, ge=1, le=100_000, description="rounds, at most")
+    patience: int = Field(10, ge=1, le=100_000, description="stop after this many rounds in a row without progress")
     least_gain: float = Field(0.0, ge=0, lt=1, description="stop once a round gains less than this part of the start")
 
     def anneal(

@@ -91,14 +91,14 @@ def plan_command(
     with reporting(traceback):
         from magiclens.plan.compile import load_plan
         from magiclens.plan.describe import describe_plan
-        from magiclens.running.feasible import require_feasible
+        from magiclens.running.feasible import estimate_text, require_feasible
 
         plan = load_plan(spec, overrides)
-        require_feasible(plan)
+        needs = require_feasible(plan)
         if why:
             _print_forecast(plan, as_json)
         else:
-            print_result(lambda: describe_plan(plan), plan.resolved, as_json=as_json)
+            print_result(lambda: f"{describe_plan(plan)}\n\n{estimate_text(needs)}", plan.resolved, as_json=as_json)
 
 
 def _print_forecast(plan: Plan, as_json: bool) -> None:

@@ -40,7 +40,7 @@ LISTED_STAGES = {"exporters": "exporter", "renderers": "renderer"}
 class SpecModel(BaseModel):
     """Base of the models of a spec: unknown keys are errors, and values cannot be changed."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True, allow_inf_nan=False)
 
 
 def _material_names(schema: dict[str, Any]) -> None:
@@ -90,7 +90,7 @@ class LensSpec(SpecModel):
         le=500,
         description="how far the top may leave the reference plane; 5mm, or more for facets wider than 8mm",
     )
-    max_slope: Angle = Field("60deg", validate_default=True, gt=0, lt=90, description="steepest facet")
+    max_slope: Angle = Field("60deg", validate_default=True, ge=0.1, lt=90, description="steepest facet")
     cells: Literal["eye", "vertical"] = Field("eye", description="facets are cut along eye rays or vertically")
 
     @field_validator("material")

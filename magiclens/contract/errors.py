@@ -6,9 +6,12 @@ class MagicLensError(Exception):
 
     Attributes:
         exit_code: What the command line exits with.
+        keys: Options at fault, the likeliest first: a stage's own by their names, others by their path in the spec,
+            such as ``lens.relief``. A run puts the place where one of them was written before the message.
     """
 
     exit_code = 1
+    keys: tuple[str, ...] = ()
 
 
 class InputError(MagicLensError):
@@ -21,13 +24,17 @@ class InputError(MagicLensError):
 
     exit_code = 2
 
-    def __init__(self, message: str, where: str | None = None):
+    def __init__(self, message: str, where: str | None = None, keys: tuple[str, ...] = ()):
         super().__init__(f"{where}: {message}" if where else message)
-        self.message, self.where = message, where
+        self.message, self.where, self.keys = message, where, keys
 
 
 class StageError(MagicLensError):
     """A stage or a plugin failed; the message names it, its package and its version. Exit code 1."""
+
+    def __init__(self, message: str, keys: tuple[str, ...] = ()):
+        super().__init__(message)
+        self.keys = keys
 
 
 class Terminated(SystemExit):

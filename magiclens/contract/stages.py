@@ -42,7 +42,7 @@ class Stage(BaseModel, ABC):
             a clock, a network or a person sets it to False; it is done in every run then.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True, allow_inf_nan=False)
 
     kind: ClassVar[str]
     type: ClassVar[str]

@@ -42,10 +42,12 @@ class LeastSquaresEncoder(Encoder):
     exposure: float | None = Field(
         None, gt=0, le=1, description="brightness of the picture; by default what most facets let through"
     )
-    pull: float = Field(1e-4, ge=0, description="how strongly pixels that hardly matter stay as they were given")
-    iterations: int = Field(40, ge=1, description="steps of the solver")
+    pull: float = Field(
+        1e-4, ge=0, le=1e6, description="how strongly pixels that hardly matter stay as they were given"
+    )
+    iterations: int = Field(40, ge=1, le=10_000, description="steps of the solver")
     bleed: Length = Field(
-        "0mm", validate_default=True, ge=0,
+        "0mm", validate_default=True, ge=0, le=10_000,
         description="how far painted pixels spread over unseen ones, so that a small shift of the lens uncovers none",
     )  # fmt: skip
     camouflage: Camouflage = Field(

@@ -30,7 +30,7 @@ class HeightMap(Exporter):
     type: ClassVar[str] = "heightmap"
     suffix: ClassVar[str] = ".heightmap.png"
 
-    pixel: Length = Field("0.05mm", validate_default=True, gt=0, description="side of a pixel, about")
+    pixel: Length = Field("0.05mm", validate_default=True, ge=0.0001, le=1000, description="side of a pixel, about")
 
     def export(self, scene: Scene, solid: Solid, path: Path) -> None:
         """Write the picture, and what it means beside it. Raises InputError if pixels are too many or too large."""
@@ -55,7 +55,7 @@ class HeightMap(Exporter):
         # 5e-5 rounds up to four decimals, so that the pixel that is proposed is not too small again
         near = LENGTH.text(size_mm / 2 if side < 2 else round(size_mm / _MOST_PIXELS + 5e-5, 4))
         wish = f"'{LENGTH.text(self.pixel)}' gives {side} x {side} pixels; 2 to {_MOST_PIXELS} per side are possible"
-        raise InputError(f"{wish}, the nearest is '{near}'", "exporter heightmap: pixel")
+        raise InputError(f"{wish}, the nearest is '{near}'", keys=("pixel",))
 
 
 def _write(z: FloatArray, low: float, high: float, path: Path, pixel_mm: float) -> None:

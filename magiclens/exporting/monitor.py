@@ -37,7 +37,7 @@ class Monitor(Exporter):
         side = math.ceil(size_mm / pixel_mm - 1e-6)
         if side > _MOST_PIXELS:
             wish = f"{size_mm:g} mm at {self.ppi:g} ppi are {side} pixels per side, more than {_MOST_PIXELS}"
-            raise InputError(f"{wish}; use {int(25.4 * _MOST_PIXELS / size_mm)} or less", "exporter monitor: ppi")
+            raise InputError(f"{wish}; use {int(25.4 * _MOST_PIXELS / size_mm)} or less", keys=("ppi",))
         for k, (name, source) in enumerate(distinct_sources(scene).items()):
             file = path if k == 0 else path.with_name(path.name.replace(".png", f".{name}.png"))
             write_png(file, resampled(source, side, size_mm / pixel_mm), 1 / pixel_mm)

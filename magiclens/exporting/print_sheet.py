@@ -52,4 +52,4 @@ class PrintSheet(Exporter):
         needs = f"the sheet needs {width:g} x {height:g} mm"
         advice = f"use {' or '.join(fitting[:2])}" if fitting else "no paper is that large; make the source smaller"
         small = "" if self.paper == "auto" else ", {} has {:g} x {:g} mm".format(self.paper, *PAPERS[self.paper])
-        raise InputError(f"{needs}{small}; {advice}", "exporter sheet: paper")
+        raise InputError(f"{needs}{small}; {advice}", keys=("paper", "scenario.source.size"))

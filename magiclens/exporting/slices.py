@@ -35,7 +35,7 @@ class LayerStack(Exporter):
 
     dpi_x: float = Field(600.0, ge=10, le=10000, description="pixels per inch along x")
     dpi_y: float = Field(300.0, ge=10, le=10000, description="pixels per inch along y")
-    layer: Length = Field("27um", validate_default=True, gt=0, description="height of a layer")
+    layer: Length = Field("27um", validate_default=True, ge=0.0001, le=1000, description="height of a layer")
     slicing: Slicing = Field(
         "plain", description="how heights become layers: plain rounding, or error diffusion, which leaves no stairs"
     )
@@ -50,10 +50,10 @@ class LayerStack(Exporter):
         if rows * columns > _MOST_PIXELS:
             wish = f"a layer would have {columns} x {rows} pixels, more than {_MOST_PIXELS:,}"
             lower = f"lower dpi_x and dpi_y, now {self.dpi_x:g} and {self.dpi_y:g}"
-            raise InputError(f"{wish}; {lower}", f"exporter {self.type}")
+            raise InputError(f"{wish}; {lower}", keys=("dpi_x", "dpi_y"))
         if layers > _MOST_LAYERS:
             wish = f"there would be {layers} layers, more than {_MOST_LAYERS:,}"
-            raise InputError(f"{wish}; raise layer, now {LENGTH.text(self.layer)}", f"exporter {self.type}")
+            raise InputError(f"{wish}; raise layer, now {LENGTH.text(self.layer)}", keys=("layer",))
         return grid
 
     def _layers(self, solid: Solid, grid: VoxelGrid) -> Iterator[tuple[Image | None, float]]:
@@ -137,7 +137,7 @@ class Sl1(LayerStack):
         screen = self._screen()
         if grid.shape[2] > screen[0] or grid.shape[1] > screen[1]:
             wish = f"the lens has {grid.shape[2]} x {grid.shape[1]} pixels, the screen {screen[0]} x {screen[1]}"
-            raise InputError(f"{wish}; make lens.size smaller", f"exporter {self.type}")
+            raise InputError(f"{wish}; make lens.size smaller", keys=("bed",))
         png, total = b"", 0.0
         with ZipFile(path, "w") as archive:
             for k, (image, filled) in enumerate(self._layers(solid, grid)):

@@ -53,8 +53,7 @@ def circles(
     """
     side = round(size_mm * px_per_mm)
     lo, hi = radius_mm[0] * px_per_mm, radius_mm[1] * px_per_mm
-    mean_area = np.pi * (lo * lo + lo * hi + hi * hi) / 3
-    count = round(layers * (side + 2 * hi) ** 2 / mean_area)
+    count = disc_count(side, lo, hi, layers)
     centres = rng.uniform(-hi, side + hi, (count, 2))
     radii, inks = rng.uniform(lo, hi, count), rng.integers(len(colours), size=count)
     paper = np.ones((side, side, len(colours[0])), np.float32)
@@ -62,6 +61,12 @@ def circles(
     for (y, x), radius, ink in zip(centres.tolist(), radii.tolist(), inks.tolist(), strict=True):
         _drop(paper, y, x, radius, palette[ink])
     return paper
+
+
+def disc_count(side: float, lo: float, hi: float, layers: float) -> int:
+    """How many discs ``circles`` draws on a square; side and radii in the same unit."""
+    mean_area = np.pi * (lo * lo + lo * hi + hi * hi) / 3
+    return round(layers * (side + 2 * hi) ** 2 / mean_area)
 
 
 def _drop(paper: FloatArray, y: float, x: float, radius: float, ink: FloatArray) -> None:

@@ -58,7 +58,8 @@ def iterate(
         i, j = np.unravel_index(np.abs(move).max(axis=(2, 3)).argmax(), move.shape[:2])
         raise StageError(
             f"heights did not converge: facet (row {i}, column {j}) still moves by {change:.3g} mm; "
-            "use a smaller window, a thicker lens or a smaller max_slope"
+            "use a smaller window, a thicker lens or a smaller max_slope",
+            keys=("lens.max_slope", "lens.thickness", "pipeline.matcher.window"),
         )
     check_relief(heights, lens.relief_mm)
     built = HeightField(lens, heights, scene.cut_eye_mm)
@@ -81,5 +82,6 @@ def check_relief(heights: FloatArray, relief: float) -> None:
         i, j = np.unravel_index(tallest.argmax(), tallest.shape)
         raise StageError(
             f"facet (row {i}, column {j}) needs {tallest.max():.2f} mm of relief, more than lens.relief: {relief:g}mm; "
-            "use more facets, a smaller window or a larger lens.relief"
+            "use more facets, a smaller window or a larger lens.relief",
+            keys=("lens.relief", "lens.facets", "pipeline.matcher.window"),
         )

@@ -19,11 +19,14 @@ class LeastSquaresIntegrator(Integrator):
     type: ClassVar[str] = "least-squares"
 
     continuity: float = Field(
-        1.0, gt=0, description="weight of edges meeting, against slopes; large: a continuous surface, as milling wants"
+        1.0,
+        gt=0,
+        le=1e6,
+        description="weight of edges meeting, against slopes; large: a continuous surface, as milling wants",
     )
-    screening: float = Field(1e-7, ge=0, description="pulls every vertex back to the reference plane")
-    rounds: int = Field(12, ge=1, description="rounds of orientation and integration, at most")
-    tolerance: float = Field(1e-4, gt=0, description="stop once no height moves by more than this, mm")
+    screening: float = Field(1e-7, ge=0, le=1e6, description="pulls every vertex back to the reference plane")
+    rounds: int = Field(12, ge=1, le=1000, description="rounds of orientation and integration, at most")
+    tolerance: float = Field(1e-4, gt=0, le=1, description="stop once no height moves by more than this, mm")
 
     def integrate(self, scene: Scene, assignment: Assignment, progress: Progress = silent) -> HeightField:
         """Iterate orientation and integration to convergence."""
@@ -91,7 +94,7 @@ def solve_weighted(right: FloatArray, weights: FloatArray, screening: float, sta
         M=LinearOperator(shape, precondition),
     )
     if failed:
-        raise StageError("conjugate gradients did not converge: use a smaller continuity")
+        raise StageError("conjugate gradients did not converge: use a smaller continuity", keys=("continuity",))
     heights: FloatArray = solution.reshape(g, g)
     return heights
 

@@ -30,18 +30,26 @@ class Poisson(Integrator):
     placement: Literal["light", "steps"] = Field(
         "light", description="facets' heights: least light lost at walls, or least squared steps (4.5)"
     )
-    step_weight: float = Field(0.002, ge=0, description="`light` only: cost of a squared step per edge, per mm^2")
+    step_weight: float = Field(
+        0.002, ge=0, le=1e6, description="`light` only: cost of a squared step per edge, per mm^2"
+    )
     screening: float = Field(
-        1e-3, ge=0, description="pulls facets back to the reference plane; raised when the relief would be exceeded"
+        1e-3,
+        ge=0,
+        le=1e6,
+        description="pulls facets back to the reference plane; raised when the relief would be exceeded",
     )
     step_limit: Length | None = Field(
-        None, description="no step between facets exceeds this; taken from the micro-facets at the border"
+        None, ge=0, le=500, description="no step between facets exceeds this; taken from the micro-facets at the border"
     )
-    rounds: int = Field(30, ge=1, description="rounds of orientation and integration, at most")
+    rounds: int = Field(30, ge=1, le=1000, description="rounds of orientation and integration, at most")
     refinement: int = Field(
-        16, ge=0, description="steps of free-form refinement, per blur of the sources; 0 leaves facets smooth lenslets"
+        16,
+        ge=0,
+        le=1000,
+        description="steps of free-form refinement, per blur of the sources; 0 leaves facets smooth lenslets",
     )
-    tolerance: float = Field(1e-5, gt=0, description="stop once no height moves by more than this, mm")
+    tolerance: float = Field(1e-5, gt=0, le=1, description="stop once no height moves by more than this, mm")
     process: LinearProcess | None = Field(
         None, description="what the machine evens out: the whole top is refined by what it shows as made"
     )

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from magiclens.contract.artifacts import (
     Assignment,
@@ -29,6 +29,8 @@ from magiclens.matching.key_size import key_size_bits
 
 _SIGNS = np.array([(1, 1), (-1, 1), (1, -1), (-1, -1)], np.float64)
 """The four ways in which a facet can show its sub-region: as it is, or mirrored."""
+_LEAST_REACH_MM, _LEAST_REACH_SHARE, _MOST_REACH_MM, _HALF = 0.01, 0.001, 10_000.0, 0.5
+"""Bounds of what a spec may ask for; no source is larger."""
 _HAND = 16
 """Neighbouring sub-regions that a facet considers when it draws again."""
 _TEMPERATURE = 1e-4
@@ -54,8 +56,29 @@ class DartThrowing(Matcher):
     )
 
     sweeps: int = Field(
-        20, ge=0, description="sweeps of drawing again where walls between facets would take light; 0: the plain draw"
+        20,
+        ge=0,
+        le=10_000,
+        description="sweeps of drawing again where walls between facets would take light; 0: the plain draw",
     )
+
+    @field_validator("reach")
+    @classmethod
+    def _far_enough(cls, value: LengthOrPercent) -> LengthOrPercent:
+        low, high = (_LEAST_REACH_SHARE, 1.0) if value.relative else (_LEAST_REACH_MM, _MOST_REACH_MM)
+        if not low <= value.value <= high:
+            bounds = f"{_LEAST_REACH_MM:g}mm to {_MOST_REACH_MM:g}mm, or {_LEAST_REACH_SHARE:.1%} to 100%"
+            raise ValueError(f"a reach is from {bounds}")
+        return value
+
+    @field_validator("guard")
+    @classmethod
+    def _leaves_something(cls, value: LengthOrPercent) -> LengthOrPercent:
+        if not 0 <= value.value < (_HALF if value.relative else _MOST_REACH_MM):
+            raise ValueError(
+                f"the guard is less than half a sub-region: 0% to less than 50%, or up to {_MOST_REACH_MM:g}mm"
+            )
+        return value
 
     def match(self, scene: Scene, rng: np.random.Generator, progress: Progress = silent) -> Candidates:
         """Draw a sub-region for every facet; all errors are 0.
@@ -180,7 +203,8 @@ def _shrunk_scale(side: float, guard: float, scene: Scene) -> float:
     if left <= 0:
         raise InputError(
             f"a micro-facet sees {flat_scale(scene) * cell:.3g} mm of the source, more than the guard leaves of "
-            f"sub-regions of {side:.3g} mm: use fewer subdivisions, a smaller guard or more micro-facets"
+            f"sub-regions of {side:.3g} mm: use fewer subdivisions, a smaller guard or more micro-facets",
+            keys=("subdivisions", "guard", "lens.microfacets"),
         )
     return left / max(scene.lens.pitch_mm - cell, left)
 
@@ -272,7 +296,8 @@ def _displace(
     n = math.isqrt(len(regions))
     raise InputError(
         f"facet (row {facet // n}, column {facet % n}) gets no sub-region of its own, as it and its neighbours can "
-        "look at too few: use a larger reach, more subdivisions, a smaller mask, a larger max_slope or relief"
+        "look at too few: use a larger reach, more subdivisions, a smaller mask, a larger max_slope or relief",
+        keys=("reach", "subdivisions", "scenario.mask", "lens.max_slope", "lens.relief"),
     )
 
 

@@ -27,9 +27,10 @@ class Pymeshlab(Finisher):
         "0mm",
         validate_default=True,
         ge=0,
+        le=10,
         description="how far smoothing may move a vertex along its ray; 0mm: not at all",
     )
-    iterations: int = Field(10, ge=1, description="passes of Taubin smoothing")
+    iterations: int = Field(10, ge=1, le=1000, description="passes of Taubin smoothing")
     check: bool = Field(True, description="whether a solid that cannot be made is an error")
     self_intersections: Search = Field(
         "auto", description="`auto`: searched for unless the solid's structure excludes them; `always`; `never`"

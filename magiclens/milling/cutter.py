@@ -21,12 +21,16 @@ class Cutter(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
 
     shape: Literal["ball", "flat", "v"] = Field("ball", description="form of the cutting end")
-    diameter: Length = Field("1mm", validate_default=True, gt=0, le=50, description="of its widest part")
+    diameter: Length = Field("1mm", validate_default=True, ge=0.001, le=50, description="of its widest part")
     tip: Length | None = Field(None, ge=0, description="diameter of a v cutter's tip, 0.2mm if left out")
     tip_form: Literal["round", "flat"] | None = Field(None, description="of a v cutter's tip, round if left out")
     angle: Angle | None = Field(None, ge=5, le=170, description="between a v cutter's flanks, 30deg if left out")
     reach: Length = Field(
-        "15mm", validate_default=True, gt=0, description="how deep it gets into a narrow hole before its holder touches"
+        "15mm",
+        validate_default=True,
+        ge=0.01,
+        le=1000,
+        description="how deep it gets into a narrow hole before its holder touches",
     )
     number: int | None = Field(
         None, ge=1, le=99, description="its place in the tool table; if left out 1, or 2 for finishing after another"

@@ -70,7 +70,7 @@ def _mirrored(program: MillingProgram) -> MillingProgram:
 def _along_x(options: MillingOptions, solid: Solid, bed: tuple[float, float] | None) -> Job:
     if solid.grid is None:
         wish = "milling needs the top's regular grid, which a finisher has removed; use the mesh files"
-        raise InputError(wish, f"exporter {options.type}")
+        raise InputError(wish, keys=("pipeline.finisher",))
     z = top_vertices(solid)[..., 2]
     lowest, highest = float(z.min()), float(z.max())
     # rounding must not make a plate of exactly the lens's height one step thicker
@@ -88,15 +88,17 @@ def _along_x(options: MillingOptions, solid: Solid, bed: tuple[float, float] | N
 
 def _check(options: MillingOptions, lowest: float, highest: float, thickness: float) -> None:
     """Raises InputError if the plate is too thin or a cutter too short."""
-    where = f"exporter {options.type}"
     if thickness < highest - 1e-9:
         need, has = LENGTH.text(math.ceil(highest * 100) / 100), LENGTH.text(thickness)
-        raise InputError(f"the plate of {has} is thinner than the lens; it needs {need}", f"{where}: stock")
+        raise InputError(f"the plate of {has} is thinner than the lens; it needs {need}", keys=("stock",))
     depth = thickness - lowest
     for name, (_, cutter) in options.cutters.items():
         if cutter.reach < depth:
             need, has = LENGTH.text(math.ceil(depth * 10) / 10), LENGTH.text(cutter.reach)
-            raise InputError(f"the cutter for {name} reaches {has} deep, the lens needs {need}", f"{where}: reach")
+            raise InputError(
+                f"the cutter for {name} reaches {has} deep, the lens needs {need}",
+                keys=("rougher" if name == "roughing" else "cutter",),
+            )
 
 
 def _tiles(options: MillingOptions, whole: Rectangle, bed: tuple[float, float] | None) -> list[Rectangle]:
@@ -106,7 +108,7 @@ def _tiles(options: MillingOptions, whole: Rectangle, bed: tuple[float, float] |
     if columns * rows > _MOST_TILES:
         has = " x ".join(LENGTH.text(side) for side in options.bed or ())
         message = f"a bed of {has} would take more than {_MOST_TILES} tiles; use a larger one"
-        raise InputError(message, f"exporter {options.type}: bed")
+        raise InputError(message, keys=("bed",))
     x = np.linspace(whole.x0, whole.x1, columns + 1).tolist()
     y = np.linspace(whole.y0, whole.y1, rows + 1).tolist()
     return [Rectangle(*across, *up) for up in pairwise(y) for across in pairwise(x)]

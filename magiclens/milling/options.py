@@ -21,6 +21,9 @@ Speed = Annotated[
 """A speed: text such as ``800mm/min`` or ``15mm/s``; a float in mm per minute inside."""
 
 
+_Side = Annotated[Length, Field(ge=1, le=1e5)]
+
+
 class MillingOptions(MillingExporter):
     """The cutters, speeds and distances of roughing and finishing along straight lines."""
 
@@ -34,25 +37,31 @@ class MillingOptions(MillingExporter):
         description="for roughing; null: the cutter for finishing",
     )
     axis: Literal["x", "y"] = Field("x", description="direction of the lines")
-    stepover: Length = Field("0.03mm", validate_default=True, gt=0, description="between the lines of finishing")
+    stepover: Length = Field("0.03mm", validate_default=True, ge=0.001, description="between the lines of finishing")
     tolerance: Length | None = Field(
-        None, gt=0, le=1,
+        None, ge=1e-5, le=1,
         description="most that straight segments leave on the lens; if left out, a hundredth of the stepover, at most "
         "0.0005mm: lines side by side that differ by more tilt the surface that polishing leaves",
     )  # fmt: skip
     rough_stepover: Length | None = Field(
-        None, gt=0, description="between the lines of roughing, 0.4 of the cutter's diameter (its tip's, of a v)"
+        None, ge=0.001, description="between the lines of roughing, 0.4 of the cutter's diameter (its tip's, of a v)"
     )
     rough_stepdown: Length | None = Field(
-        None, gt=0, description="between the levels of roughing, half the cutter's diameter if left out"
+        None, ge=0.001, le=1000, description="between the levels of roughing, half the cutter's diameter if left out"
     )
-    allowance: Length = Field("0.1mm", validate_default=True, ge=0, description="what roughing leaves for finishing")
-    safe_height: Length = Field("5mm", validate_default=True, gt=0, description="above the plate, where it travels")
-    feed: Speed = Field("1200mm/min", validate_default=True, gt=0, description="while cutting")
-    plunge: Speed = Field("300mm/min", validate_default=True, gt=0, description="straight down")
-    spindle: int = Field(12000, ge=1, description="turns per minute")
-    stock: Length | None = Field(None, gt=0, description="thickness of the plate, the lens's highest point if left out")
-    bed: tuple[Length, Length] | None = Field(
+    allowance: Length = Field(
+        "0.1mm", validate_default=True, ge=0, le=100, description="what roughing leaves for finishing"
+    )
+    safe_height: Length = Field(
+        "5mm", validate_default=True, ge=0.01, le=1000, description="above the plate, where it travels"
+    )
+    feed: Speed = Field("1200mm/min", validate_default=True, ge=1, le=1e6, description="while cutting")
+    plunge: Speed = Field("300mm/min", validate_default=True, ge=1, le=1e6, description="straight down")
+    spindle: int = Field(12000, ge=1, le=1_000_000, description="turns per minute")
+    stock: Length | None = Field(
+        None, ge=0.1, le=2000, description="thickness of the plate, the lens's highest point if left out"
+    )
+    bed: tuple[_Side, _Side] | None = Field(
         None, description="the machine's travel in x and y; a lens that is larger is milled in tiles, a file for each"
     )
 

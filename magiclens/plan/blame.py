@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from magiclens.config.document import Document, Keys, dotted
 from magiclens.contract.errors import InputError, StageError, Terminated
 from magiclens.plan.capture import captured_output
 
@@ -32,6 +33,44 @@ def blaming(owner: str) -> Iterator[None]:
     except (InputError, Blamed, KeyboardInterrupt, Terminated):
         raise
     except StageError as error:
-        raise Blamed(f"{owner}: {error}") from error
+        raise Blamed(f"{owner}: {error}", error.keys) from error
     except BaseException as error:  # a plugin may call sys.exit(), which must not end a sweep
         raise Blamed(f"{owner} failed: {type(error).__name__}: {error}") from error
+
+
+@contextmanager
+def locating(document: Document, at: Keys) -> Iterator[None]:
+    """Let errors from inside the ``with`` block say where in a spec the option at fault was written.
+
+    Args:
+        document: The spec.
+        at: The place of the stage or the scenario that is called; options are looked for there.
+
+    Raises:
+        InputError, Blamed: The same as inside. Those that name a file already, or no options, pass unchanged.
+    """
+    try:
+        yield
+    except InputError as error:
+        if error.where or not error.keys:
+            raise
+        place = place_of(error.keys, document, at)
+        raise InputError(f"{dotted(place)}: {error.message}", document.where(place)) from error
+    except Blamed as error:
+        if not error.keys:
+            raise
+        place = place_of(error.keys, document, at)
+        raise Blamed(f"{document.where(place)}: {dotted(place)}: {error}") from error
+
+
+def place_of(options: tuple[str, ...], document: Document, at: Keys) -> Keys:
+    """Where in a spec an option is: the first of several that was written, else what they are options of.
+
+    Args:
+        options: A stage's own by their names, others by their path, such as ``lens.relief``.
+        document: The spec.
+        at: The place of the stage; where no option is written, that is where one would be. Without it, the first
+            option's own place.
+    """
+    named = [tuple(key.split(".")) if "." in key else (*at, key) for key in options]
+    return next((keys for keys in named if document.written(keys)), at or named[0])

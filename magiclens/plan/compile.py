@@ -17,7 +17,7 @@ from magiclens.config.model import DEFAULT_STAGES, FREE_FINISHER, LISTED_STAGES,
 from magiclens.config.suggest import advice, unknown
 from magiclens.contract.artifacts import Lens, Scene
 from magiclens.contract.stages import Annealer, Encoder, Exporter, Finisher, Integrator, Matcher, Renderer, Stage
-from magiclens.plan.blame import blaming
+from magiclens.plan.blame import blaming, locating
 from magiclens.plan.registry import ANALYSIS, NAMED_ART, SCENARIO, STAGE, Plugin, Registry
 from magiclens.scenarios.base import Scenario, Shot
 
@@ -138,6 +138,13 @@ class Plan:
         plain = self.spec.pipeline.without_pymeshlab and self.finisher.stage.type == FREE_FINISHER
         return (f"pymeshlab is not installed: the finisher is {FREE_FINISHER}",) if plain else ()
 
+    def place(self, step: Step[Any]) -> Keys:
+        """Where in the spec a stage is, or would be if it were written: ``("pipeline", "exporters", 1)``."""
+        for key in LISTED_STAGES:
+            if step in getattr(self, key):
+                return "pipeline", key, getattr(self, key).index(step)
+        return "pipeline", str(step.stage.kind)
+
     def shots(self) -> tuple[Shot, ...]:
         """The views before their pictures are loaded."""
         with blaming(f"scenario {self.scenario.type} ({self.scenario_plugin})"):
@@ -145,7 +152,8 @@ class Plan:
 
     def scene(self) -> Scene:
         """The lens and its views with their pictures."""
-        with blaming(f"scenario {self.scenario.type} ({self.scenario_plugin})"):
+        owner = f"scenario {self.scenario.type} ({self.scenario_plugin})"
+        with locating(self.document, ("scenario",)), blaming(owner):
             views = self.scenario.make_views(self.lens, self.spec.viewer, self.registry.art)
             return Scene(self.lens, views, self.scenario.reserved(self.lens, self.registry.art))
 

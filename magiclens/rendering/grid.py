@@ -56,7 +56,10 @@ class Grid(NamedTuple):
 def grid_of(solid: Solid, lens: Lens) -> Grid:
     """The grid of a solid's top. Raises InputError if a finisher has turned it into a free mesh."""
     if solid.grid is None:
-        raise InputError("the built-in tracer needs the top's regular grid, which a finisher has removed; use mitsuba")
+        raise InputError(
+            "the built-in tracer needs the top's regular grid, which a finisher has removed; use mitsuba",
+            keys=("pipeline.finisher",),
+        )
     rows, columns = solid.grid
     points = solid.vertices[: rows * columns].reshape(rows, columns, 3)
     height_and_floor = float(points[..., 2].max()), *_floor(solid.vertices[rows * columns :])

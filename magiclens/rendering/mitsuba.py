@@ -28,16 +28,16 @@ class Mitsuba(Renderer):
 
     type: ClassVar[str] = "mitsuba"
 
-    samples: int = Field(64, ge=4, description="paths per pixel: 4, 16, 64, 256, ... (stratified in squares)")
-    resolution: int = Field(256, ge=1, description="pixels along the picture's side")
+    samples: int = Field(64, ge=4, le=4**8, description="paths per pixel: 4, 16, 64, 256, ... (stratified in squares)")
+    resolution: int = Field(256, ge=1, le=4096, description="pixels along the picture's side")
     roughness: float = Field(
         0.0, ge=0.0, le=1.0, description="GGX alpha of the surface (Walter et al. 2007); 0: smooth"
     )
     variant: Literal["auto", "llvm_ad_rgb", "scalar_rgb"] = Field(
         "auto", description="Mitsuba's variant; `auto`: compiled by LLVM (17 or newer) if that works here, else scalar"
     )
-    max_depth: int = Field(8, ge=3, description="longest path, in surfaces; 3: straight through to the source")
-    seed: int = Field(0, ge=0, description="seed of the samples; equal seeds give equal pictures")
+    max_depth: int = Field(8, ge=3, le=1000, description="longest path, in surfaces; 3: straight through to the source")
+    seed: int = Field(0, ge=0, lt=2**32, description="seed of the samples; equal seeds give equal pictures")
 
     @field_validator("samples")
     @classmethod

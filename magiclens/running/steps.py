@@ -21,7 +21,7 @@ from magiclens.cache.values import NotPlain, borrowed, settled
 from magiclens.contract.artifacts import Scene, Solid
 from magiclens.contract.checks import BadArtifact, check_file
 from magiclens.contract.stages import Exporter, Progress
-from magiclens.plan.blame import Blamed, blaming
+from magiclens.plan.blame import Blamed, blaming, locating
 from magiclens.plan.compile import Plan, Step
 from magiclens.running.ingredients import (
     Kept,
@@ -56,7 +56,7 @@ class Steps:
     def __init__(self, plan: Plan, observer: Observer, cache: Cache | None = None):
         """Without a cache everything is done, and nothing kept."""
         self.cache = cache
-        self._registry, self._observer = plan.registry, observer
+        self._plan, self._registry, self._observer = plan, plan.registry, observer
         self._facets = plan.lens.facets**2
         self._began = perf_counter()
         self._seconds: defaultdict[str, float] = defaultdict(float)
@@ -248,7 +248,7 @@ class Steps:
         return artifact
 
     def _guarded(self, step: Step[Any], work: Callable[[Progress], _T], check: Callable[[_T], None]) -> _T:
-        with blaming(str(step)):
+        with locating(self._plan.document, self._plan.place(step)), blaming(str(step)):
             artifact = work(partial(self._observer.progressed, step.name))
             try:
                 check(artifact)

@@ -12,7 +12,7 @@ from magiclens.config.fields import ImageFile
 from magiclens.config.model import SpecModel
 from magiclens.contract.artifacts import BoolArray, FloatArray
 from magiclens.contract.units import Fraction, Length
-from magiclens.scenarios.pictures import Circles
+from magiclens.scenarios.pictures import Circles, Radii
 
 
 class _Cover(SpecModel, ABC):
@@ -58,7 +58,7 @@ class Noise(_Cover):
     """Random squares of every display value, which look like painted patches and so hide these."""
 
     type: Literal["noise"]
-    grain: Length = Field("0.3mm", validate_default=True, gt=0, description="side of the squares")
+    grain: Length = Field("0.3mm", validate_default=True, ge=0.01, le=10_000, description="side of the squares")
 
     def cover(self, source: FloatArray, known: BoolArray, size_mm: float, rng: np.random.Generator) -> FloatArray:
         """See ``_Cover``."""
@@ -75,7 +75,7 @@ class Discs(_Cover):
     """Random discs, as in the ``circles`` source."""
 
     type: Literal["circles"]
-    radius: list[Length] = Field(
+    radius: Radii = Field(
         ["0.5mm", "2.5mm"], validate_default=True, min_length=2, max_length=2, description="smallest and largest disc"
     )
     colours: Literal["black-and-white", "coloured"] = Field("black-and-white", description="the discs' inks")
@@ -105,7 +105,9 @@ class Texture(_Cover):
 
     image: ImageFile | None = Field(None, description="the example, a picture file")
     circles: Discs | None = Field(None, description="the example, random discs")
-    patch: Length = Field("3mm", validate_default=True, gt=0, description="as large as the texture's features")
+    patch: Length = Field(
+        "3mm", validate_default=True, ge=0.01, le=10_000, description="as large as the texture's features"
+    )
 
     @model_validator(mode="after")
     def _one_example(self) -> Texture:

@@ -18,9 +18,13 @@ class EyeSpec(SpecModel):
     """Where an eye is, seen from the lens's centre: given by its direction or by its position."""
 
     tilt: Angle | None = Field(None, ge=0, lt=80, description="from straight above")
-    azimuth: Angle | None = Field(None, description="of the tilt: 0deg is to the right, 90deg up the picture")
-    x: Length | None = Field(None, description="to the right of the lens's centre; with y and the viewer's distance")
-    y: Length | None = Field(None, description="above the lens's centre, as the viewer sees it")
+    azimuth: Angle | None = Field(
+        None, ge=-3600, le=3600, description="of the tilt: 0deg is to the right, 90deg up the picture"
+    )
+    x: Length | None = Field(
+        None, ge=-1e5, le=1e5, description="to the right of the lens's centre; with y and the viewer's distance"
+    )
+    y: Length | None = Field(None, ge=-1e5, le=1e5, description="above the lens's centre, as the viewer sees it")
 
     @model_validator(mode="after")
     def _one_way(self) -> EyeSpec:

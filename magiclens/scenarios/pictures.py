@@ -33,6 +33,8 @@ _LARGEST_PX = 4096
 """Largest side of a source, so that a large lens does not exhaust the memory."""
 _LEAST_RADIUS_MM = 0.05
 """Smallest radius of a disc; millions of smaller ones would be needed, and no source has such fine pixels."""
+_MOST_RADIUS_MM = 10_000.0
+"""Largest radius of a disc: no source is larger."""
 _TARGET_ART_PX = 1024
 """Side of targets that are drawn, which is finer than any render."""
 
@@ -54,6 +56,17 @@ Words = Annotated[
     str, BeforeValidator(_quoted), AfterValidator(_readable), WithJsonSchema({"type": "string", "minLength": 1})
 ]
 """A text that the font can show."""
+
+
+def _ordered(radii: list[float]) -> list[float]:
+    if not _LEAST_RADIUS_MM <= radii[0] <= radii[1] <= _MOST_RADIUS_MM:
+        bounds = f"at least {_LEAST_RADIUS_MM:g}mm, at most {_MOST_RADIUS_MM:g}mm"
+        raise ValueError(f"write the smallest radius first, {bounds}, such as [0.5mm, 2.5mm]")
+    return radii
+
+
+Radii = Annotated[list[Length], AfterValidator(_ordered)]
+"""Smallest and largest radius of random discs."""
 
 
 class _Source(SpecModel, ABC):
@@ -81,19 +94,11 @@ class Circles(_Source):
 
     type: Literal["circles"]
     seed: int = Field(0, strict=True, ge=0, description="another seed, other discs")
-    radius: list[Length] = Field(
+    radius: Radii = Field(
         ["0.5mm", "2.5mm"], validate_default=True, min_length=2, max_length=2, description="smallest and largest disc"
     )
     colours: Literal["black-and-white", "coloured"] = Field("black-and-white", description="the discs' inks")
     layers: float = Field(4.0, gt=0, le=100, description="how many discs lie on a point on average")
-
-    @field_validator("radius")
-    @classmethod
-    def _ordered(cls, value: list[float]) -> list[float]:
-        if not _LEAST_RADIUS_MM <= value[0] <= value[1]:
-            least = f"at least {_LEAST_RADIUS_MM:g}mm"
-            raise ValueError(f"write the smallest radius first, {least}, such as [0.5mm, 2.5mm]")
-        return value
 
     def raster(self, size_mm: float, art: Art) -> FloatArray:
         """(S, S, C) float32, linear light."""
@@ -101,7 +106,13 @@ class Circles(_Source):
 
         inks = COLOURED if self.colours == "coloured" else BLACK_AND_WHITE
         rng = np.random.default_rng(self.seed)
-        return circles(size_mm, _pixels(size_mm) / size_mm, rng, (self.radius[0], self.radius[1]), inks, self.layers)
+        return circles(size_mm, pixels_of(size_mm) / size_mm, rng, (self.radius[0], self.radius[1]), inks, self.layers)
+
+    def count(self, size_mm: float) -> int:
+        """How many discs there are on a source of this size."""
+        from magiclens.images.sources import disc_count
+
+        return disc_count(size_mm, self.radius[0], self.radius[1], self.layers)
 
     def __str__(self) -> str:
         return f"circles (seed {self.seed})"
@@ -119,7 +130,7 @@ class ImageSource(_Source):
         from magiclens.images.resample import padded_to_square, resize
 
         picture = padded_to_square(read_image(self.path))
-        side = min(max(_pixels(size_mm), len(picture)), _LARGEST_PX)
+        side = min(max(pixels_of(size_mm), len(picture)), _LARGEST_PX)
         return resize(picture, (side, side))
 
     def __str__(self) -> str:
@@ -134,7 +145,7 @@ class ArtSource(_Source):
 
     def raster(self, size_mm: float, art: Art) -> FloatArray:
         """(S, S, C) float32, linear light."""
-        return art[self.name](_pixels(size_mm))
+        return art[self.name](pixels_of(size_mm))
 
     def __str__(self) -> str:
         return f"art {self.name}"
@@ -150,7 +161,7 @@ class Plain(_Source):
         """(S, S, 1) float32, linear light."""
         from magiclens.images.colour import to_linear
 
-        side = _pixels(size_mm)
+        side = pixels_of(size_mm)
         return np.array(np.broadcast_to(to_linear(np.array(self.level)), (side, side, 1)), np.float32)
 
     def __str__(self) -> str:
@@ -183,7 +194,7 @@ class TextSource(_Source):
         from magiclens.images.text import text
 
         left, top, right, bottom = self.box
-        return text(self.text, _pixels(size_mm), (left, top, right, bottom))
+        return text(self.text, pixels_of(size_mm), (left, top, right, bottom))
 
     def __str__(self) -> str:
         return f"text {self.text!r}"
@@ -266,6 +277,6 @@ class Target(AdjustedPicture):
         return f"art {self.art}" if self.art is not None else f"text {self.text!r}"
 
 
-def _pixels(size_mm: float) -> int:
+def pixels_of(size_mm: float) -> int:
     """Side in pixels of a source that is generated."""
     return min(int(np.ceil(size_mm * _SOURCE_PX_PER_MM)), _LARGEST_PX)

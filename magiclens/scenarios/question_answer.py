@@ -37,7 +37,9 @@ class QuestionAnswer(Scenario):
     )
     pairs: list[QuestionAndAnswer] = Field(min_length=1, max_length=16, description="questions and their answers")
     mask: ImageFile | None = Field(None, description="black where the questions are; found by their ink by default")
-    margin: Length = Field("1mm", validate_default=True, ge=0, description="kept free around the questions' ink")
+    margin: Length = Field(
+        "1mm", validate_default=True, ge=0, le=10_000, description="kept free around the questions' ink"
+    )
     subdivisions: int = Field(2, ge=1, le=8, description="sub-regions along one side of a facet's patch (5.1)")
     camouflage: Camouflage = Field(
         {"type": "texture"}, validate_default=True, description="what covers pixels that no facet sees (5.2)"

@@ -89,7 +89,7 @@ class UniversalAnimation(Scenario):
         {"type": "texture"}, validate_default=True, description="what covers pixels that no facet sees (5.2)"
     )
 
-    fps: float = Field(8.0, gt=0, le=50, description="frames per second of the animations")
+    fps: float = Field(8.0, ge=0.1, le=50, description="frames per second of the animations")
 
     @property
     def frames_per_second(self) -> float | None:
