@@ -36,6 +36,11 @@ Overrides = Annotated[
 ]
 """The option that changes values of the spec."""
 
+Sandbox = Annotated[
+    bool, typer.Option("--sandbox", help="Refuse files outside of the spec's folder, also behind links.")
+]
+"""The option for specs that somebody else has written."""
+
 Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing; the exit code says it.")]
 """The option that turns output off."""
 

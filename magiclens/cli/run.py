@@ -13,6 +13,7 @@ from magiclens.cli.common import (
     AsJson,
     Overrides,
     Quiet,
+    Sandbox,
     SpecFile,
     Traceback,
     print_note,
@@ -35,6 +36,7 @@ def run_command(
         bool,
         typer.Option("--no-cache", help="Do everything; neither keep results nor use what earlier runs have kept."),
     ] = False,
+    sandbox: Sandbox = False,
     quiet: Quiet = False,
     as_json: AsJson = False,
     traceback: Traceback = False,
@@ -56,7 +58,7 @@ def run_command(
             keep_nothing()
         # progress goes to standard error, so that standard output holds the result alone
         observer = Observer() if quiet or as_json else terminal_observer(sys.stderr)
-        plan = load_plan(spec, overrides)
+        plan = load_plan(spec, overrides, sandbox=sandbox)
         require_feasible(plan)
         folder = out or Path("out", plan.spec.name)
         manifest = kept_run(plan, folder, observer) or _run(plan, spec, overrides, folder, observer)
@@ -64,15 +66,21 @@ def run_command(
 
 
 def check_command(
-    spec: SpecFile, overrides: Overrides, quiet: Quiet = False, as_json: AsJson = False, traceback: Traceback = False
+    spec: SpecFile,
+    overrides: Overrides,
+    sandbox: Sandbox = False,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+    traceback: Traceback = False,
 ) -> None:
     """Check SPEC without running it."""
     with reporting(traceback):
         from magiclens.plan.compile import load_plan
         from magiclens.running.feasible import require_feasible
 
-        plan = load_plan(spec, overrides)
+        plan = load_plan(spec, overrides, sandbox=sandbox)
         require_feasible(plan)
+        _print_notices(plan, quiet or as_json)
         scenario, views = plan.scenario.type, [shot.name for shot in plan.shots()]
         data = {"spec": str(spec), "name": plan.spec.name, "scenario": scenario, "views": views}
         print_result(lambda: f"{spec}: ok, {scenario}, views: {', '.join(views)}", lambda: data, quiet, as_json)
@@ -84,6 +92,7 @@ def plan_command(
     why: Annotated[
         bool, typer.Option("--why", help="Show instead which steps a run would do, and why they are not in the cache.")
     ] = False,
+    sandbox: Sandbox = False,
     as_json: AsJson = False,
     traceback: Traceback = False,
 ) -> None:
@@ -93,12 +102,18 @@ def plan_command(
         from magiclens.plan.describe import describe_plan
         from magiclens.running.feasible import estimate_text, require_feasible
 
-        plan = load_plan(spec, overrides)
+        plan = load_plan(spec, overrides, sandbox=sandbox)
         needs = require_feasible(plan)
+        _print_notices(plan, as_json)
         if why:
             _print_forecast(plan, as_json)
         else:
             print_result(lambda: f"{describe_plan(plan)}\n\n{estimate_text(needs)}", plan.resolved, as_json=as_json)
+
+
+def _print_notices(plan: Plan, quiet: bool) -> None:
+    for notice in () if quiet else plan.notices():
+        print_note(f"note: {notice}")
 
 
 def _print_forecast(plan: Plan, as_json: bool) -> None:

@@ -26,10 +26,14 @@ class Context(TypedDict, total=False):
     Attributes:
         folder: The folder that paths in the spec are relative to; the current one if it is missing.
         art: Names of pictures; not checked if it is missing.
+        sandbox: Whether files outside the folder are mistakes; they are not if it is missing.
+        files: Collects the files that are found, each with its path as it was written.
     """
 
     folder: Path
     art: Collection[str]
+    sandbox: bool
+    files: dict[Path, str]
 
 
 class Inputs(dict[Path, str]):
@@ -51,13 +55,27 @@ def _context(info: ValidationInfo) -> Context:
 def _find(value: object, info: ValidationInfo) -> Path:
     if not isinstance(value, str | Path):
         raise ValueError(f"expected the path of a file, got {value!r}")
-    path = _context(info).get("folder", Path()) / value
+    context = _context(info)
+    folder = context.get("folder", Path())
+    path = folder / value
+    # before anything else: whether a file is there is nobody's business either
+    if context.get("sandbox") and is_outside(path, folder):
+        raise ValueError(
+            f"'{value}' is outside of the spec's folder, which --sandbox forbids; put a copy into the folder"
+        )
     if path.is_dir():
         raise ValueError(f"'{path}' is a folder; name a file in it")
     if not path.is_file():
         raise ValueError(missing_file(path))
     # absolute, since executors may work in another folder
-    return path.absolute()
+    found = path.absolute()
+    context.get("files", {}).setdefault(found, str(value))
+    return found
+
+
+def is_outside(path: Path, folder: Path) -> bool:
+    """Whether a file is not in a folder, once all links are followed."""
+    return not path.resolve().is_relative_to(folder.resolve())
 
 
 def _picture(path: Path) -> Path:

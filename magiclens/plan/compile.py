@@ -11,7 +11,7 @@ from typing import Any, Generic, TypeVar
 from magiclens.config.checker import Checker
 from magiclens.config.document import Document, Keys, read_document
 from magiclens.config.fabrication import Fabrication, find_fabrication
-from magiclens.config.fields import Context, Inputs
+from magiclens.config.fields import Context, Inputs, is_outside
 from magiclens.config.load import check_spec
 from magiclens.config.model import DEFAULT_STAGES, FREE_FINISHER, LISTED_STAGES, Choice, PipelineSpec, Spec
 from magiclens.config.suggest import advice, unknown
@@ -94,6 +94,7 @@ class Plan:
         fabrication: The machine that makes the lens, if the spec names one.
         registry: Where scenario, stages and named pictures were found.
         document: What was compiled; it knows where each option was written.
+        files: The files that the spec names, each with its path as it was written.
     """
 
     spec: Spec
@@ -110,6 +111,7 @@ class Plan:
     fabrication: Fabrication | None
     registry: Registry = field(repr=False, compare=False)
     document: Document = field(repr=False, compare=False)
+    files: Mapping[Path, str] = field(repr=False, compare=False, default_factory=dict)
 
     @property
     def steps(self) -> tuple[Step[Any], ...]:
@@ -133,10 +135,20 @@ class Plan:
         with blaming(str(planned)):
             return bool(planned.analysis.applies(self))
 
+    @property
+    def outside(self) -> dict[Path, str]:
+        """Those of the files that are not in the spec's folder."""
+        folder = self.document.folder
+        return {path: written for path, written in self.files.items() if is_outside(path, folder)}
+
     def notices(self) -> tuple[str, ...]:
         """What a user ought to hear of the plan, though nothing is wrong."""
         plain = self.spec.pipeline.without_pymeshlab and self.finisher.stage.type == FREE_FINISHER
-        return (f"pymeshlab is not installed: the finisher is {FREE_FINISHER}",) if plain else ()
+        outside = [repr(written) for written in self.outside.values()]
+        return (
+            *([f"pymeshlab is not installed: the finisher is {FREE_FINISHER}"] if plain else []),
+            *([f"files outside of the spec's folder are read: {', '.join(outside)}"] if outside else []),
+        )
 
     def place(self, step: Step[Any]) -> Keys:
         """Where in the spec a stage is, or would be if it were written: ``("pipeline", "exporters", 1)``."""
@@ -192,32 +204,36 @@ class Plan:
         }
 
 
-def load_plan(path: str | Path, overrides: Iterable[str] = (), registry: Registry | None = None) -> Plan:
+def load_plan(
+    path: str | Path, overrides: Iterable[str] = (), registry: Registry | None = None, sandbox: bool = False
+) -> Plan:
     """Read a spec and compile it.
 
     Args:
         path: The spec, a YAML file.
         overrides: Values to change, as text ``key.path=value``, such as ``lens.facets=64``.
         registry: Where stages are looked up; by default everything that is installed.
+        sandbox: Whether files outside of the spec's folder are mistakes.
 
     Raises:
         InputError: The spec has a mistake. The message names the first one in the order of the file.
         StageError: Two packages contribute a stage that the spec chooses.
     """
-    return compile_plan(read_document(path, overrides), registry or Registry.load())
+    return compile_plan(read_document(path, overrides), registry or Registry.load(), sandbox)
 
 
-def compile_plan(document: Document, registry: Registry) -> Plan:
+def compile_plan(document: Document, registry: Registry, sandbox: bool = False) -> Plan:
     """Compile a spec that has been read already. Raises like ``load_plan``."""
-    return _Compiler(document, registry).plan()
+    return _Compiler(document, registry, sandbox).plan()
 
 
 class _Compiler:
     """Compiles every part of one document, even if others have mistakes, so that the first mistake can be named."""
 
-    def __init__(self, document: Document, registry: Registry):
-        self._document, self._registry = document, registry
-        self._checker = Checker(document, Context(folder=document.folder, art=registry.types(NAMED_ART)))
+    def __init__(self, document: Document, registry: Registry, sandbox: bool):
+        self._document, self._registry, self._files = document, registry, dict[Path, str]()
+        context = Context(folder=document.folder, art=registry.types(NAMED_ART), sandbox=sandbox, files=self._files)
+        self._checker = Checker(document, context)
         self._fabrication = find_fabrication(document, self._checker)
 
     def plan(self) -> Plan:
@@ -247,6 +263,7 @@ class _Compiler:
             fabrication=self._fabrication,
             registry=self._registry,
             document=self._document,
+            files=self._files,
         )
 
     def _scenario(self) -> tuple[Scenario, Plugin] | tuple[None, None]:

@@ -78,8 +78,26 @@ def build_manifest(
         "metrics": {name: _number(value) for name, value in metrics.items()},
         "seed": plan.spec.seed,
         "versions": versions(plan),
+        "inputs": outside_inputs(plan, inputs),
         "spec_sha256": hashlib.sha256(spec_text(plan, inputs).encode()).hexdigest(),
     }
+
+
+def outside_inputs(plan: Plan, inputs: Inputs) -> list[dict[str, str]]:
+    """The files outside of the spec's folder: path as it was written, copy in the run folder, and hash.
+
+    Files beside the spec are not listed: their copies are, and a run folder's own spec gives the same manifest again.
+
+    Args:
+        plan: What was run.
+        inputs: Where the copies are; files that are new to it are added.
+    """
+    plan.resolved(inputs)  # which asks for the copies of all files that are used
+    used = {path: copy for path, copy in inputs.items() if path in plan.outside}
+    return [
+        {"path": plan.outside[path], "copy": copy, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+        for path, copy in used.items()
+    ]
 
 
 def write_manifest(folder: Path, manifest: Mapping[str, Any], seconds: Mapping[str, float]) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from magiclens.running.feasible import require_feasible
 from magiclens.running.folder import place_for
 from magiclens.running.ingredients import key_of, of_run
 from magiclens.running.making import make_lens
-from magiclens.running.manifest import ScoresByRenderer, build_manifest, spec_text, write_manifest
+from magiclens.running.manifest import ScoresByRenderer, build_manifest, outside_inputs, spec_text, write_manifest
 from magiclens.running.observers import Observer
 from magiclens.running.replacing import atomic_folder
 from magiclens.running.steps import Steps
@@ -174,7 +174,9 @@ def kept_run(
         with atomic_folder(place, observer.notice) as folder:
             if not cache.restore(entry, folder):
                 raise _Incomplete
-            whole = write_manifest(folder, entry.facts, steps.timings())
+            # the same files may have been named by other paths when the run was kept
+            facts = {**entry.facts, "inputs": outside_inputs(plan, Inputs())}
+            whole = write_manifest(folder, facts, steps.timings())
     except _Incomplete:
         return None
     _tell_notices(plan, observer)
