@@ -40,8 +40,8 @@ SCENARIOS: dict[str, dict[str, Any]] = {
 """The least that each scenario needs."""
 
 
-_REQUIRED = {"monitor": {"ppi": 100}}
-"""Options of stages that have no default."""
+_REQUIRED: dict[str, dict[str, Any]] = {"monitor": {"ppi": 100}, "dart-throwing": {"reach": "100%"}}
+"""Options of stages that have no default, or one that does not fit a tiny lens."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,9 @@ def all_numeric_options(registry: Registry) -> Iterator[tuple[dict[str, Any], Nu
 def spec_of(scenario: str) -> dict[str, Any]:
     """The data of a tiny lens."""
     lens = {"size": "20mm", "facets": 4, "microfacets": 3, "thickness": "20mm", "relief": "8mm"}
-    return {"name": "tiny", "scenario": {"type": scenario, **SCENARIOS[scenario]}, "lens": lens, "pipeline": {}}
+    universal = scenario in ("universal-animation", "question-answer")
+    pipeline = {"matcher": {"type": "dart-throwing", **_REQUIRED["dart-throwing"]}} if universal else {}
+    return {"name": "tiny", "scenario": {"type": scenario, **SCENARIOS[scenario]}, "lens": lens, "pipeline": pipeline}
 
 
 def numeric_options(schema: Mapping[str, Any], at: str) -> Iterator[NumericOption]:

@@ -23,7 +23,7 @@ from magiclens.rendering.tracer import Tracer
 from magiclens.rendering.transports import LEAST_RESOLUTION
 from magiclens.scenarios.pictures import Circles, Plain, TextSource, pixels_of
 
-_PROGRAM_BYTES = 400e6
+_PROGRAM_BYTES = 300e6
 """Python, its libraries and compiled kernels."""
 
 
@@ -137,7 +137,7 @@ def _matching(plan: Plan, seen: _Seen) -> Iterator[Need]:
     stage, lens, at = plan.matcher.stage, plan.lens, plan.place(plan.matcher)
     if isinstance(stage, MatchingOptions):
         facets, channels = lens.facets**2, seen.channels * seen.views
-        levels = 100.0 * seen.side**2 * (channels if seen.eyes == 1 else seen.channels * seen.sources)
+        levels = 60.0 * seen.side**2 * (channels if seen.eyes == 1 else seen.channels * seen.sources)
         pools = facets * (200.0 * stage.candidates + 16 * channels * (2 * stage.pixels) ** 2)
         polishing = 4e-5 * facets * min(stage.polish, stage.candidates) * seen.views
         yield Need(
@@ -187,9 +187,13 @@ def _looking(plan: Plan, seen: _Seen) -> Iterator[Need]:
         if isinstance(stage, Tracer | Mitsuba):
             square = stage.samples**2 if isinstance(stage, Tracer) else stage.samples
             rays = float(stage.resolution**2 * square)
-            held = 16 * rays * seen.eyes if isinstance(stage, Tracer) else 8e3 * stage.resolution**2
+            # views that share an eye share its rays
+            tracer = isinstance(stage, Tracer)
+            held, seconds = (
+                (16 * rays, 1.2e-6 * seen.eyes) if tracer else (3e3 * stage.resolution**2, 2e-6 * seen.views)
+            )
             yield Need(
-                f"renderer {stage.type}", held, 2e-6 * rays * seen.views, ("resolution", "samples"),
+                f"renderer {stage.type}", held, seconds * rays, ("resolution", "samples"),
                 "a lower resolution or fewer samples", plan.place(renderer),
             )  # fmt: skip
     encoder = plan.encoder and plan.encoder.stage
