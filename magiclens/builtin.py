@@ -79,9 +79,11 @@ def mlens_analyses() -> Sequence[Analysis]:
     from magiclens.analysis.source_changes import SOURCE_CHANGES
     from magiclens.analysis.stable_zone import STABLE_ZONE
     from magiclens.analysis.surface import SURFACE
+    from magiclens.analysis.tolerances import TOLERANCES
     from magiclens.analysis.warp import WARP
 
-    figures = [AS_MADE, CONTACT_SHEET, STABLE_ZONE, WARP, SECRECY, PICTURE_ERROR, SURFACE, ANNEALING_EFFECT, OVERLAP]
+    shown = [AS_MADE, CONTACT_SHEET, STABLE_ZONE, TOLERANCES]
+    figures = [*shown, WARP, SECRECY, PICTURE_ERROR, SURFACE, ANNEALING_EFFECT, OVERLAP]
     return [*figures, IDEAL_PICTURE, SOURCE_CHANGES, LEAKS]
 
 

@@ -158,7 +158,7 @@ def test_moves_are_degrees_at_the_lens() -> None:
 def test_a_chart_has_its_points_in_their_places() -> None:
     xs, ys = np.array([0.0, 5.0, 10.0]), np.array([10.0, 30.0, 20.0])
     axes = ChartAxis("x", 0.0, 10.0), ChartAxis("y", 10.0, 30.0)
-    draw = Chart(xs, [Curve("c", ys, "#ff0000")], *axes, ("other", {0.5: "half"}), (2.0, "shaded"), [5.0]).draw()
+    draw = Chart(xs, [Curve("c", ys, "#ff0000")], *axes, (0.0, 2.0, "shaded"), [5.0], ("other", {0.5: "half"})).draw()
     assert draw.shape == (CHART_HEIGHT, CHART_WIDTH, 3)
     red = (draw == (255, 0, 0)).all(axis=-1)
     wide, tall = CHART_WIDTH - MARGIN_LEFT - MARGIN_RIGHT, CHART_HEIGHT - MARGIN_TOP - MARGIN_BOTTOM
@@ -168,7 +168,7 @@ def test_a_chart_has_its_points_in_their_places() -> None:
     assert not red[CHART_HEIGHT - MARGIN_BOTTOM - 30 : CHART_HEIGHT - MARGIN_BOTTOM, MARGIN_LEFT + wide // 2 :].any()
     shaded = (draw == tuple(bytes.fromhex(SHADED_COLOUR[1:]))).all(axis=-1)[CHART_HEIGHT - MARGIN_BOTTOM - 40]
     assert np.flatnonzero(shaded).max() == pytest.approx(MARGIN_LEFT + 0.2 * wide, abs=2)
-    again = Chart(xs, [Curve("c", ys, "#ff0000")], *axes, ("other", {0.5: "half"}), (2.0, "shaded"), [5.0]).draw()
+    again = Chart(xs, [Curve("c", ys, "#ff0000")], *axes, (0.0, 2.0, "shaded"), [5.0], ("other", {0.5: "half"})).draw()
     np.testing.assert_array_equal(draw, again)
 
 

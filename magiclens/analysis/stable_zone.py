@@ -187,9 +187,9 @@ def _curve(result: RunResult, zone: Zone) -> Figure:
         [Curve(names[lens], curve, _COLOURS[lens]) for lens, curve in worst.items()],
         ChartAxis("how far the eye moves, mm", 0.0, reach),
         ChartAxis("PSNR, dB", float(np.floor(low - 0.5)), float(np.ceil(high + 0.5))),
-        ("degrees", degrees),
-        (zone.eyes_mm[0], "inner cone"),
+        (0.0, zone.eyes_mm[0], "inner cone"),
         zone.eyes_mm,
+        ("degrees", degrees),
     )
     found = zone.metrics
     caption = (

@@ -133,9 +133,13 @@ class Viewpoint:
     @property
     def eye_in_lens_frame_mm(self) -> FloatArray:
         """Position of the eye in the lens frame: (3,) float64, mm."""
+        return self.to_lens_frame(self.eye_mm)
+
+    def to_lens_frame(self, vector: FloatArray) -> FloatArray:
+        """A vector (3,) of the world frame in the lens frame: (3,) float64."""
         # cosine and sine of quarter turns, exact
         c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[self.quarter_turns]
-        x, y, z = self.eye_mm
+        x, y, z = vector
         return np.array([c * x + s * y, -s * x + c * y, z])
 
 

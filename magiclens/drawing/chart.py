@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -25,6 +26,8 @@ _OVERSAMPLING = 3
 """A chart is drawn at this multiple of its size and then shrunk, which smooths lines."""
 _LETTER = 20
 """Size of letters, pixels."""
+_ENTRY = 32
+"""Height of an entry of the legend, pixels."""
 
 
 @dataclass(frozen=True)
@@ -53,17 +56,19 @@ class ChartAxis:
 class Chart:
     """Curves over common ``xs``.
 
-    ``upper`` is the name and the ticks of the upper edge, for x in another unit. ``shaded`` says up to which x the
-    chart is shaded, and what this part is called. At ``marks`` there are dotted lines.
+    ``shaded`` says from which x to which the chart is shaded, and what this part is called. At ``marks`` there are
+    dotted lines. ``upper`` is the name and the ticks of the upper edge, for x in another unit. ``legend`` says whether
+    the legend stands at the upper right, or low in the shaded part, for curves that are high there.
     """
 
     xs: FloatArray
     curves: Sequence[Curve]
     x: ChartAxis
     y: ChartAxis
-    upper: tuple[str, Mapping[float, str]]
-    shaded: tuple[float, str]
-    marks: Sequence[float]
+    shaded: tuple[float, float, str]
+    marks: Sequence[float] = ()
+    upper: tuple[str, Mapping[float, str]] = ("", MappingProxyType({}))
+    legend: Literal["right", "shaded"] = "right"
 
     def draw(self) -> Pixels:
         """Draw the chart, (CHART_HEIGHT, CHART_WIDTH, 3)."""
@@ -73,8 +78,9 @@ class Chart:
         draw = ImageDraw.Draw(image)
         left, top = self._at(self.x.low, self.y.high)
         right, bottom = self._at(self.x.high, self.y.low)
-        draw.rectangle((left, top, self._at(self.shaded[0], 0)[0], bottom), fill=SHADED_COLOUR)
-        _write(draw, (left + 8 * _OVERSAMPLING, bottom - 18 * _OVERSAMPLING), self.shaded[1], MUTED_COLOUR, "lm")
+        start, end = (self._at(x, 0)[0] for x in self.shaded[:2])
+        draw.rectangle((start, top, end, bottom), fill=SHADED_COLOUR)
+        _write(draw, (start + 8 * _OVERSAMPLING, bottom - 18 * _OVERSAMPLING), self.shaded[2], MUTED_COLOUR, "lm")
         self._draw_axes(draw, left, top, right, bottom)
         for mark in self.marks:
             x = self._at(mark, 0)[0]
@@ -82,7 +88,9 @@ class Chart:
                 draw.line((x, dot, x, dot + 5 * _OVERSAMPLING), fill=MUTED_COLOUR, width=_OVERSAMPLING)
         for curve in self.curves:
             self._draw_curve(draw, curve)
-        self._draw_legend(draw, right - 340 * _OVERSAMPLING, top + 12 * _OVERSAMPLING)
+        low = bottom - (36 + _ENTRY * len(self.curves)) * _OVERSAMPLING
+        right_or_shaded = {"right": (right - 340 * _OVERSAMPLING, top + 12 * _OVERSAMPLING), "shaded": (start, low)}
+        self._draw_legend(draw, *right_or_shaded[self.legend])
         draw.rectangle((left, top, right, bottom), outline=MUTED_COLOUR, width=_OVERSAMPLING)
         return np.asarray(image.reduce(_OVERSAMPLING))
 
@@ -115,10 +123,11 @@ class Chart:
             draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=curve.colour)
 
     def _draw_legend(self, draw: ImageDraw, x: float, y: float) -> None:
-        height = 32 * len(self.curves) * _OVERSAMPLING
-        draw.rectangle((x, y, x + 328 * _OVERSAMPLING, y + height), fill=PAPER_COLOUR)
+        height = _ENTRY * len(self.curves) * _OVERSAMPLING
+        if self.legend == "right":
+            draw.rectangle((x, y, x + 328 * _OVERSAMPLING, y + height), fill=PAPER_COLOUR)
         for k, curve in enumerate(self.curves):
-            line = y + (16 + 32 * k) * _OVERSAMPLING
+            line = y + _ENTRY * (k + 0.5) * _OVERSAMPLING
             ends = (x + 8 * _OVERSAMPLING, line, x + 48 * _OVERSAMPLING, line)
             draw.line(ends, fill=curve.colour, width=4 * _OVERSAMPLING)
             _write(draw, (x + 58 * _OVERSAMPLING, line), curve.name, TEXT_COLOUR, "lm")

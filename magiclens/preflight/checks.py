@@ -26,6 +26,7 @@ from magiclens.preflight.machine import (
 )
 from magiclens.preflight.mesh_file import mesh_files, read_mesh_file
 from magiclens.preflight.picture import CHECKED_VIEWS, check_orientation, check_source_resolution
+from magiclens.preflight.placing import check_placing
 from magiclens.preflight.triangles import TopTriangles, top_triangles, trace_triangles_for_views
 from magiclens.profiles.machines import Machine, Mill
 from magiclens.profiles.materials import materials
@@ -81,6 +82,7 @@ def run_preflight(folder: Path, manifest: Mapping[str, Any], plan: Plan, solid: 
         *check_as_made(manifest["metrics"]),
         check_orientation(file, lens, views, traced, _run_psnr_db(manifest)),
         check_source_resolution(lens, views),
+        *check_placing(manifest["metrics"], lens, views[0]),
     ]
     return Preflight(str(manifest["name"]), made_by, findings, _mean_slopes_deg(top, lens))
 

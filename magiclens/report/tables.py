@@ -55,12 +55,31 @@ _METRIC_LABELS = {
     "self_intersections": "Faces that cut others",
     "as_made_psnr_db": "PSNR as the machine makes the lens, simulated",
     "fabrication_loss_db": "PSNR lost by the machine's layers, blur and polish, simulated",
+    "tolerance_shift_x_mm": "Sheet may lie aside by, each costing 3 dB of the worst view",
+    "tolerance_shift_y_mm": "Sheet may lie higher or lower by",
+    "tolerance_rotation_deg": "Sheet may be turned by",
+    "tolerance_scale_percent": "Sheet may be too large or too small by",
+    "tolerance_tilt_x_deg": "Lens may lean, upper or lower edge lifted, by",
+    "tolerance_tilt_y_deg": "Lens may lean, left or right edge lifted, by",
+    "tolerance_gap_mm": "Air between sheet and lens may differ by",
+    "tolerance_eye_x_mm": "Eye may be aside by",
+    "tolerance_eye_y_mm": "Eye may be higher or lower by",
+    "tolerance_eye_nearer_mm": "Eye may be nearer by",
+    "tolerance_eye_farther_mm": "Eye may be farther away by",
+    "tolerance_ior": "Index of refraction may differ by",
     "smoothing_mm": "Farthest move of a vertex by smoothing",
 }
 """Labels of metrics, in the order of the table; metrics that are not listed follow under their own names."""
 _CHECKS = {"watertight", "two_manifold", "consistently_oriented", "outward_normals"}
 """Metrics that are 1 for yes and 0 for no."""
-_UNITS = {"_mm3": (1e-3, " cm³"), "_mm": (1.0, " mm"), "_deg": (1.0, "°"), "_db": (1.0, " dB"), "_px": (1.0, " px")}
+_UNITS = {
+    "_mm3": (1e-3, " cm³"),
+    "_mm": (1.0, " mm"),
+    "_deg": (1.0, "°"),
+    "_db": (1.0, " dB"),
+    "_px": (1.0, " px"),
+    "_percent": (1.0, " %"),
+}
 """Factor and unit of a metric, by the end of its name; the longer of two ends comes first."""
 _HEADLINE_METRICS = {"step_mean_mm": "mean step", "slope_mean_deg": "mean slope", "volume_mm3": "volume"}
 """Labels of the metrics at the top of the page."""
