@@ -26,6 +26,7 @@ def mlens_stages() -> Sequence[type[Stage]]:
     from magiclens.encoding.least_squares import LeastSquaresEncoder
     from magiclens.exporting.gltf import Glb
     from magiclens.exporting.height_map import HeightMap
+    from magiclens.exporting.jig import Jig
     from magiclens.exporting.mesh_files import Obj, Ply, Stl
     from magiclens.exporting.monitor import Monitor
     from magiclens.exporting.print_sheet import PrintSheet
@@ -47,7 +48,7 @@ def mlens_stages() -> Sequence[type[Stage]]:
     shaping: list[type[Stage]] = [HeatBath, Metropolis, Poisson, LeastSquaresIntegrator]
     finishing: list[type[Stage]] = [Pymeshlab, ManifoldFinisher, LeastSquaresEncoder]
     meshes: list[type[Stage]] = [Stl, Ply, Obj, ThreeMf, Glb]
-    machines: list[type[Stage]] = [HeightMap, Slices, Sl1, Gcode, Rml, PrintSheet, Monitor]
+    machines: list[type[Stage]] = [HeightMap, Slices, Sl1, Gcode, Rml, PrintSheet, Monitor, Jig]
     return [*matching, *shaping, *finishing, *meshes, *machines, Tracer, Mitsuba]
 
 

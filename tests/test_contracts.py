@@ -16,6 +16,7 @@ from magiclens.annealing.metropolis import Metropolis
 from magiclens.encoding.least_squares import LeastSquaresEncoder
 from magiclens.exporting.gltf import Glb
 from magiclens.exporting.height_map import HeightMap
+from magiclens.exporting.jig import Jig
 from magiclens.exporting.mesh_files import Obj, Ply, Stl
 from magiclens.exporting.monitor import Monitor
 from magiclens.exporting.print_sheet import PrintSheet
@@ -128,6 +129,10 @@ class TestGlb(ExporterContract):
         mesh = super().read_mesh(path)
         assert mesh
         return 1000 * mesh[0] @ np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]]), mesh[1]
+
+
+class TestJig(ExporterContract):
+    stage = Jig()
 
 
 class TestHeightMap(ExporterContract):

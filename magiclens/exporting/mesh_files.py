@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from magiclens.contract.artifacts import Scene, Solid
+from magiclens.contract.artifacts import FloatArray, IntArray, Scene, Solid
 from magiclens.contract.stages import Exporter
 
 if TYPE_CHECKING:
@@ -23,9 +23,7 @@ class Stl(Exporter):
 
     def export(self, scene: Scene, solid: Solid, path: Path) -> None:
         """Write 84 + 50 F bytes."""
-        from trimesh.exchange.stl import export_stl
-
-        path.write_bytes(STL_HEADER + export_stl(_mesh(solid))[len(STL_HEADER) :])
+        write_stl(solid.vertices, solid.faces, path)
 
 
 class Ply(Exporter):
@@ -58,6 +56,14 @@ class Obj(Exporter):
             header="magiclens, unit: millimetre",
         )
         path.write_bytes(str(text).encode("ascii"))
+
+
+def write_stl(vertices: FloatArray, faces: IntArray, path: Path) -> None:
+    """Write triangles as binary STL: vertices (V, 3) mm, faces (F, 3)."""
+    from trimesh import Trimesh
+    from trimesh.exchange.stl import export_stl
+
+    path.write_bytes(STL_HEADER + export_stl(Trimesh(vertices, faces, process=False))[len(STL_HEADER) :])
 
 
 def _mesh(solid: Solid) -> Trimesh:

@@ -84,6 +84,9 @@ _UNITS = {
 _HEADLINE_METRICS = {"step_mean_mm": "mean step", "slope_mean_deg": "mean slope", "volume_mm3": "volume"}
 """Labels of the metrics at the top of the page."""
 _FILE_CONTENTS = {
+    "lens.jig": "a part that holds sheet, lens or eye in place, to be printed",
+    "lens.pdf": "the sources, to be printed true to scale",
+    "lens.monitor": "a source for a screen, pixel for pixel",
     "lens.": "the lens, in millimetres",
     "sources/": "a source, to be printed true to scale",
     "targets/": "what the eye shall see",

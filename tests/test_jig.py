@@ -1,0 +1,141 @@
+"""The jig: its parts are closed bodies that hold sheet, lens and eye where the design has them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from manifold3d import Manifold, OpType
+
+from magiclens.contract.artifacts import Lens, Scene, Solid, View
+from magiclens.contract.errors import InputError
+from magiclens.exporting.jig import Jig
+from magiclens.exporting.jig_parts import JigPart, JigShape, jig_parts, marked_lens, sight
+from magiclens.geometry.solid import solid_from_heights
+from scenes import surface
+
+LENS = Lens(size_mm=60.0, source_size_mm=60.0, facets=2, microfacets=1, thickness_mm=8.0)
+SHAPE = JigShape(0.2, 0.15, 3.0, 220.0, True, False)
+EYE = (0.0, 0.0, 408.0)
+
+
+def scene_of(lens: Lens = LENS, *eyes: tuple[float, float, float], turns: tuple[float, ...] = (0.0,)) -> Scene:
+    picture = np.ones((8, 8, 1), np.float32)
+    places = [(np.array(eye), turn) for eye in eyes or (EYE,) for turn in turns]
+    return Scene(lens, tuple(View(f"v{k}", picture, picture, *place) for k, place in enumerate(places)))
+
+
+def slab(lens: Lens = LENS, eye: tuple[float, float, float] | None = EYE) -> Solid:
+    return solid_from_heights(surface(lens, np.zeros(1), eye))
+
+
+def block(half: float, low: float, high: float) -> Manifold:
+    return Manifold.cube([2 * half, 2 * half, high - low]).translate([-half, -half, low])
+
+
+def bottom_half(solid: Solid) -> float:
+    return float(solid.vertices[solid.vertices[:, 2] == 0][:, 0].max())
+
+
+def volume_of_overlap(one: Manifold, parts: list[JigPart]) -> float:
+    return sum((one ^ part.body).volume() for part in parts)
+
+
+@pytest.mark.parametrize("source", [60.0, 80.0])
+def test_sheet_and_lens_fit_and_are_held(source: float) -> None:
+    """Both have room where they belong, and none a millimetre aside."""
+    lens = replace(LENS, source_size_mm=source)
+    solid = slab(lens)
+    parts = jig_parts(scene_of(lens), solid, SHAPE)
+    half = bottom_half(solid)
+    sheet, foot = block(source / 2, -0.15, 0.0), block(half, 0.0, 7.0)
+    for body in (sheet, foot):
+        assert volume_of_overlap(body, parts) < 1e-6
+        for way in ([1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]):
+            assert volume_of_overlap(body.translate(way), parts) > 1.0
+    assert ("inset" in [part.name for part in parts]) == (source == 80.0)
+
+
+@pytest.mark.parametrize("eyes", [[EYE], [(0.0, 107.0, 408.0), (0.0, -107.0, 408.0)]], ids=["above", "two"])
+def test_every_eye_looks_through_a_peephole_and_nothing_is_in_its_way(eyes: list[tuple[float, float, float]]) -> None:
+    parts = jig_parts(scene_of(LENS, *eyes), slab(), SHAPE)
+    standing = [part.body for part in parts if not part.name.startswith("arm")]
+    for x, y, z in eyes:
+        arm = "arm" if len(eyes) == 1 else f"arm-{sorted(eyes).index((x, y, z)) + 1}"
+        whole = Manifold.batch_boolean([*standing, *(part.body for part in parts if part.name == arm)], OpType.Add)
+        assert (sight(LENS, (x, y, z)) ^ whole).volume() < 1e-6
+        hole = Manifold.cylinder(4.0, 1.4).translate([x, y, z])
+        assert (hole ^ whole).volume() < 1e-6
+        ring = Manifold.cylinder(4.0, 6.0).translate([x + 8, y, z]) ^ whole
+        assert ring.volume() > 100, "the peephole is in a plate"
+
+
+def test_parts_fit_a_bed_and_are_closed_in_their_files(tmp_path: Path) -> None:
+    lens = replace(LENS, size_mm=200.0, source_size_mm=200.0)
+    exporter = Jig(bed="150mm", mark=True)
+    exporter.export(scene_of(lens, turns=(0.0, 90.0)), slab(lens), tmp_path / "lens.jig.stl")
+    files = sorted(path.name for path in tmp_path.iterdir())
+    assert {"lens.jig.stl", "lens.jig-tray-4.stl", "lens.jig-arm.stl", "lens.jig-column-part-3.stl"} <= set(files)
+    for name in files:
+        mesh = trimesh.load_mesh(tmp_path / name)
+        assert mesh.is_watertight, name
+        assert mesh.volume > 0, name
+        assert mesh.body_count == 1, name
+        if name != "lens.jig-lens.stl":
+            assert mesh.extents.max() <= 150 + 1e-3, name
+        assert mesh.bounds[0, 2] == pytest.approx(0, abs=1e-4), name
+
+
+def test_pieces_go_into_each_other_with_the_clearance() -> None:
+    parts = {part.name: part.body for part in jig_parts(scene_of(), slab(), replace(SHAPE, bed=150.0))}
+    assert [name for name in parts if name.startswith("column")] == [f"column-part-{k}" for k in (1, 2, 3)]
+    chain = [parts["tray"], *(parts[f"column-part-{k}"] for k in (1, 2, 3)), parts["arm"]]
+    for lower, upper in pairwise(chain):
+        assert (lower ^ upper).volume() < 1e-6
+        assert (lower ^ upper.translate([0.5, 0, 0])).volume() > 1.0, "the peg is held"
+
+
+def test_a_marked_lens_fits_only_as_it_belongs() -> None:
+    solid = slab()
+    plain, marked = Manifold.cube([1, 1, 1]), marked_lens(solid)
+    parts = jig_parts(scene_of(), solid, replace(SHAPE, marked=True))
+    assert volume_of_overlap(marked, parts) < 1e-6
+    for turn in (90, 180, 270):
+        assert volume_of_overlap(marked.rotate([0, 0, turn]), parts) > 0.5
+    turned = jig_parts(scene_of(turns=(0.0, 90.0)), solid, replace(SHAPE, marked=True))
+    assert volume_of_overlap(marked.rotate([0, 0, 90]), turned) < 1e-6
+    assert volume_of_overlap(marked.rotate([0, 0, 180]), turned) > 0.5
+    assert plain.volume() < marked.volume()
+
+
+def test_equal_lenses_get_equal_bytes(tmp_path: Path) -> None:
+    contents: list[dict[str, bytes]] = []
+    for k in range(2):
+        (tmp_path / str(k)).mkdir()
+        Jig().export(scene_of(), slab(), tmp_path / str(k) / "lens.jig.stl")
+        contents.append({path.name: path.read_bytes() for path in (tmp_path / str(k)).iterdir()})
+    assert contents[0] == contents[1]
+    names = {"lens.jig.stl", "lens.jig-column-part-1.stl", "lens.jig-column-part-2.stl", "lens.jig-arm.stl"}
+    assert set(contents[0]) == names
+
+
+def test_without_a_stand_there_is_only_the_tray(tmp_path: Path) -> None:
+    Jig(stand=False).export(scene_of(), slab(), tmp_path / "lens.jig.stl")
+    assert [path.name for path in tmp_path.iterdir()] == ["lens.jig.stl"]
+
+
+@pytest.mark.parametrize(
+    ("lens", "bed", "words"),
+    [
+        (replace(LENS, gap_mm=100.0, source_size_mm=80.0), 220.0, "nothing would hold the lens 100 mm above"),
+        (replace(LENS, source_size_mm=63.0), 220.0, "too little for a frame"),
+        (LENS, 80.0, "use a bed of 2"),
+    ],
+)
+def test_what_no_jig_can_hold_is_said(lens: Lens, bed: float, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        jig_parts(scene_of(lens, (0.0, 150.0, 408.0)), slab(lens, None), replace(SHAPE, bed=bed))
