@@ -159,3 +159,14 @@ def test_a_medium_is_part_of_plan_and_resolved_spec(load: Any) -> None:
 def test_impossible_media_are_named(override: str, message: str, load: Any) -> None:
     with pytest.raises(InputError, match=re.escape(f"--set {override}: {message}")):
         load(override)
+
+
+def test_the_glass_of_a_screen_is_air_that_moves_rays_as_much(tmp_path: Path) -> None:
+    """A ray at 10 degrees, through 0.7 mm of glass: to a hundredth of the way by Snell's law."""
+    spec = tmp_path / "a.yaml"
+    spec.write_text(SPEC + "medium: {glass: 0.7mm}\n", encoding="utf-8")
+    plan = load_plan(spec)
+    inside = np.arcsin(np.sin(np.radians(10)) / 1.52)
+    assert plan.lens.gap_mm * np.tan(np.radians(10)) == pytest.approx(0.7 * np.tan(inside), rel=0.01)
+    assert "below 0.7 mm of glass" in describe_plan(plan)
+    assert load_plan(spec, ["lens.gap=2mm"]).lens.gap_mm == pytest.approx(2 + 0.7 / 1.52)

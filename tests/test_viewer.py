@@ -30,9 +30,9 @@ from magiclens.images.files import write_png
 from magiclens.images.score import psnr_db
 from magiclens.rendering.tracer import picture, trace
 from magiclens.running.open_run import OpenRun, open_run
+from magiclens.web.embedding import json_for_script
 from magiclens.web.viewer import MOST_BYTES, viewer_fragment, viewer_page
 from magiclens.web.viewer.packing import orthonormal_polynomials, pack_heights, unpack_heights
-from magiclens.web.viewer.page import json_for_script
 from magiclens.web.viewer.pictures import picture_uri_within
 from magiclens.web.viewer.viewer_data import LANDING_MM, finest_step_mm, keep_views
 

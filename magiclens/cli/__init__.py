@@ -39,6 +39,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "preflight": lens.preflight_command,
     "machined": lens.machined_command,
     "view": lens.view_command,
+    "show": lens.show_command,
     "cache": cache.cache_command,
     "doctor": doctor.doctor_command,
 }

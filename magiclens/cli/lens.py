@@ -1,4 +1,4 @@
-"""The commands that use the lens of a run folder: ``encode``, ``decode``, ``preflight``, ``machined`` and ``view``."""
+"""The commands that use the lens of a run folder: ``encode``, ``preflight``, ``view``, ``show`` and so on."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from magiclens.cli.common import AsJson, Quiet, RunFolder, Traceback, print_resu
 _ViewName = Annotated[
     str | None, typer.Option("--view", metavar="NAME", help="Through which view's eye; the first by default.")
 ]
+_Open = Annotated[bool, typer.Option("--open/--no-open", help="Open the page in a browser.")]
 _PicturesOut = Annotated[
     Path, typer.Option("--out", "-o", metavar="OUT", help="A PNG, GIF or MP4, or a folder.", show_default=False)
 ]
@@ -88,14 +89,37 @@ def view_command(
         Path | None,
         typer.Option("--out", "-o", metavar="FILE", help="The page.", show_default="RUN_DIR/view.html"),
     ] = None,
-    show: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in a browser.")] = True,
+    show: _Open = True,
     traceback: Traceback = False,
 ) -> None:
     """Write a page on which the lens of RUN_DIR is moved about on its source, and open it."""
     with reporting(traceback):
         from magiclens.web.viewer import write_view
 
-        page = write_view(run_dir, out)
-        typer.echo(page)
-        if show:
-            typer.launch(page.absolute().as_uri())
+        _present(write_view(run_dir, out), show)
+
+
+def show_command(
+    run_dir: RunFolder,
+    frame: Annotated[
+        str | None,
+        typer.Argument(metavar="[FRAME]", help="A view or a source, to show that alone.", show_default=False),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="FILE", help="The page.", show_default="RUN_DIR/show.html"),
+    ] = None,
+    show: _Open = True,
+    traceback: Traceback = False,
+) -> None:
+    """Write a page that shows the sources of RUN_DIR at true size on a phone, tablet or projector, and open it."""
+    with reporting(traceback):
+        from magiclens.web.screen import write_screen
+
+        _present(write_screen(run_dir, frame, out), show)
+
+
+def _present(page: Path, show: bool) -> None:
+    typer.echo(page)
+    if show:
+        typer.launch(page.absolute().as_uri())

@@ -193,11 +193,17 @@ Choice = Annotated[dict[str, Any], BeforeValidator(_choice)]
 """A mapping with a ``type`` and the options of that type, before the registry is asked for the type."""
 
 
+_GLASS_IOR = 1.52
+"""Index of refraction of the glass of screens."""
+
+
 class Medium(SpecModel):
-    """What shows the source, paper or a screen: how dark its black is and how bright its white."""
+    """What shows the source, paper or a screen: how dark its black, how bright its white, and the glass above it."""
 
     black: Fraction = Field("0%", validate_default=True, ge=0, lt=1, description="light that black reflects")
     white: Fraction = Field("100%", validate_default=True, gt=0, le=1, description="light that white reflects")
+
+    glass: Length | None = Field(None, ge=0, le=100, description="glass of a screen between the source and the lens")
 
     @field_validator("white")
     @classmethod
@@ -206,6 +212,11 @@ class Medium(SpecModel):
         if value <= black:
             raise ValueError(f"white must be brighter than black, more than {FRACTION.text(black)}")
         return value
+
+    @property
+    def gap_mm(self) -> float:
+        """The air that moves rays sideways as much as the glass does, to first order in their angles."""
+        return (self.glass or 0.0) / _GLASS_IOR
 
     def shown(self, linear: FloatArray) -> FloatArray:
         """A picture as the medium shows it.
@@ -303,7 +314,7 @@ class Spec(SpecModel):
     scenario: Choice = Field(description="what the lens shows, from where")
     lens: LensSpec = Field(default_factory=LensSpec, description="the lens itself")
     viewer: Viewer = Field(default_factory=Viewer, description="the eye")
-    medium: Medium | None = Field(None, description="black and white of what shows the source; ideal ones if left out")
+    medium: Medium | None = Field(None, description="what shows the source, paper or screen; ideal if left out")
     fabrication: MachineChoice = Field(None, description="the machine that makes the lens: its limits hold")
     pipeline: PipelineSpec = Field(default_factory=PipelineSpec, description="the stages")
     report: ReportSpec = Field(default_factory=ReportSpec, description="what is found out about the finished lens")

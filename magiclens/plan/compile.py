@@ -340,7 +340,8 @@ class _Compiler:
     def _fit(self, spec: Spec, scenario: Scenario, plugin: Plugin | None) -> Lens | None:
         with blaming(f"scenario {scenario.type} ({plugin})"):
             try:
-                lens = scenario.fitted_lens(spec.lens.build(), spec.viewer)
+                lens, glass = spec.lens.build(), spec.medium.gap_mm if spec.medium else 0.0
+                lens = scenario.fitted_lens(replace(lens, gap_mm=lens.gap_mm + glass), spec.viewer)
                 making = self._fabrication
                 rim_mm = making.machine.rim_mm(lens, spec.viewer.distance) if making else 0.0
                 return replace(lens, bleed_mm=max(lens.bleed_mm, rim_mm))

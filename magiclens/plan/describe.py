@@ -26,7 +26,9 @@ def _lens_lines(plan: Plan) -> list[str]:
     }
     if plan.spec.medium:
         black, white = (f"{100 * level:g} %" for level in (plan.spec.medium.black, plan.spec.medium.white))
-        rows["medium"] = f"black reflects {black} of the light, white {white}"
+        glass = plan.spec.medium.glass or 0.0
+        below = f", below {glass:g} mm of glass, which is as much as {plan.spec.medium.gap_mm:.3g} mm of air"
+        rows["medium"] = f"black reflects {black} of the light, white {white}{below if glass else ''}"
     if plan.fabrication:
         rows["machine"] = f"{plan.fabrication.name}: {plan.fabrication.profile.title}"
     return [f"{key:9}{value}" for key, value in rows.items()]

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import Any
 
 from markupsafe import Markup
 
-from magiclens.contract.errors import InputError
 from magiclens.pages.templating import render_page, template_text
-from magiclens.running.manifest import REFERENCE_RENDERER, refresh_manifest, render_path, source_path
+from magiclens.running.manifest import REFERENCE_RENDERER, render_path, source_path
 from magiclens.running.open_run import OpenRun, open_run
-from magiclens.running.replacing import atomic_file
 from magiclens.running.run_files import verified
+from magiclens.web.embedding import json_for_script, write_beside
 from magiclens.web.viewer.pictures import thumbnail_uri
 from magiclens.web.viewer.viewer_data import viewer_data
 
@@ -84,20 +81,7 @@ def write_view(run_dir: Path, out: Path | None = None) -> Path:
     Raises:
         InputError: ``out`` is a folder, or as ``viewer_fragment``.
     """
-    path = out or run_dir / "view.html"
-    if path.is_dir():
-        raise InputError(f"'{path}' is a folder; name a file, such as {path / 'view.html'}", "--out")
-    text = viewer_page(run_dir)
-    with atomic_file(path) as partial:
-        partial.write_text(text, encoding="utf-8")
-    if path.resolve().is_relative_to(run_dir.resolve()):
-        refresh_manifest(run_dir)
-    return path
-
-
-def json_for_script(value: Any) -> str:
-    """JSON that may be written within ``<script>``: nothing in it can end the element or begin a comment."""
-    return json.dumps(value, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c").replace(">", "\\u003e")
+    return write_beside(run_dir, out or run_dir / "view.html", lambda: viewer_page(run_dir))
 
 
 def _name(folder: Path) -> str:
