@@ -103,6 +103,20 @@ def test_overrides_reach_the_run(mlens: Any, write_spec: SpecWriter, tmp_path: P
     assert (manifest["scene"]["facets"], manifest["seed"]) == (3, 9)
 
 
+def test_json_of_a_check_lists_every_mistake_with_its_line(mlens: Any, write_spec: SpecWriter) -> None:
+    spec = write_spec(("facets: 4", "facets: 0"), ("sweeps", "swepes"))
+    result = mlens("check", spec, "--json")
+    assert result.exit_code == 2
+    data = json.loads(result.stdout)
+    assert data["spec"] == str(spec)
+    lines = spec.read_text(encoding="utf-8").splitlines()
+    found = [(int(error["where"].rpartition(":")[2]), error["message"]) for error in data["errors"]]
+    assert ["facets: 0" in lines[line - 1] or "swepes" in lines[line - 1] for line, _ in found] == [True, True]
+    assert any("did you mean 'sweeps'?" in message for _, message in found)
+    assert found[0][1] in result.stderr, "the first is the one that people read"
+    assert json.loads(mlens("check", write_spec(), "--json").stdout)["errors"] == []
+
+
 @pytest.mark.parametrize("command", ["run", "check", "plan"])
 def test_wrong_input_ends_with_2_and_one_line(command: str, mlens: Any, write_spec: SpecWriter) -> None:
     result = mlens(command, write_spec(("facets: 4", "facets: 0")))
@@ -213,7 +227,7 @@ def test_json_of_plugins_names_contributions_and_failures(mlens: Any, registry: 
     assert data["failures"][0]["plugin"]["package"] == "odd-package"
 
 
-@pytest.mark.parametrize("command", ["run", "check", "plan"])
+@pytest.mark.parametrize("command", ["run", "plan"])
 def test_wrong_input_prints_no_json(command: str, mlens: Any, write_spec: SpecWriter) -> None:
     result = mlens(command, write_spec(("facets: 4", "facets: 0")), "--json")
     assert (result.exit_code, result.stdout) == (2, "")

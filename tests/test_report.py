@@ -31,7 +31,7 @@ from magiclens.drawing.tiles import PAPER_COLOUR, TEXT_LINE, TICK_WIDTH, TILE_GA
 from magiclens.geometry.facets import central_slopes, patches_seen
 from magiclens.plan.compile import load_plan
 from magiclens.plan.registry import Plugin, Registry
-from magiclens.report.tables import format_metric, metric_rows
+from magiclens.report.tables import errands, format_metric, metric_rows
 from magiclens.report.write import write_figure, write_report
 from magiclens.running.pipeline import run_plan
 from scenes import (
@@ -165,10 +165,38 @@ def test_the_page_needs_no_other_file(report: Path) -> None:
         assert forbidden not in page
     tags = Tags(page).found
     assert not {"script", "iframe", "object", "base"} & {tag for tag, _ in tags}
-    assert [attributes["href"] for _, attributes in tags if "href" in attributes] == ["data:,"]
+    links = {attributes["href"] for _, attributes in tags if "href" in attributes} - {"data:,", "manifest.json"}
+    beside = {path.relative_to(report).as_posix() for path in report.rglob("*") if path.is_file()}
+    assert links == beside, "it leads to every file beside it"
     sources = [attributes["src"] or "" for _, attributes in tags if "src" in attributes]
     assert len(sources) == 8 + 2 + 2 + 1 + 4 + 2
     assert all(source.startswith("data:image/webp;base64,") for source in sources)
+
+
+def test_the_page_says_how_to_make_the_lens_right_after_the_picture(
+    data: RunResult, report: Path, tmp_path: Path
+) -> None:
+    page = (report / "report.html").read_text(encoding="utf-8")
+    order = ["What the lens shows", "Make it", "<details", "How well it shows them", "Measured", "How it was made"]
+    assert sorted(order, key=page.index) == order
+    assert page.count("<details") == page.count("</details>") == 2
+    names = ["lens.stl", "lens.gcode", "lens.pdf", "lens.jig.stl", "lens.jig-arm.stl", "lens.monitor.png"]
+    (tmp_path / "sources").mkdir()
+    for name in (*names, "preflight.html", "sources/dots.png"):
+        (tmp_path / name).touch()
+    found = {errand.title: list(errand.files) for errand in errands(data.scene, tmp_path)}
+    assert found == {
+        "Check it": ["preflight.html"],
+        "Have the lens made": ["lens.gcode", "lens.stl"],
+        "Print the sheet": ["lens.pdf"],
+        "Print the jig": ["lens.jig-arm.stl", "lens.jig.stl"],
+        "Or show it on a screen": ["lens.monitor.png"],
+        "Look through it: turn-0": [],
+    }
+    (tmp_path / "lens.pdf").unlink()
+    sheet = next(errand for errand in errands(data.scene, tmp_path) if errand.title == "Print the sheet")
+    assert sheet.files == ["sources/dots.png"]
+    assert "exactly 20 mm wide" in sheet.how
 
 
 def test_what_users_write_is_escaped(written: Callable[[RunResult], str]) -> None:

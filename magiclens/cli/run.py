@@ -20,6 +20,7 @@ from magiclens.cli.common import (
     print_result,
     reporting,
 )
+from magiclens.contract.errors import InputError
 
 if TYPE_CHECKING:
     from magiclens.plan.compile import Plan
@@ -73,16 +74,22 @@ def check_command(
     as_json: AsJson = False,
     traceback: Traceback = False,
 ) -> None:
-    """Check SPEC without running it."""
+    """Check SPEC without running it. With --json, all of its mistakes are listed under ``errors``."""
     with reporting(traceback):
         from magiclens.plan.compile import load_plan
         from magiclens.running.feasible import require_feasible
 
-        plan = load_plan(spec, overrides, sandbox=sandbox)
-        require_feasible(plan)
+        try:
+            plan = load_plan(spec, overrides, sandbox=sandbox)
+            require_feasible(plan)
+        except InputError as error:
+            if as_json:
+                errors = [{"where": each.where, "message": each.message} for each in (error, *error.others)]
+                print_result(str, lambda: {"spec": str(spec), "errors": errors}, as_json=True)
+            raise
         _print_notices(plan, quiet or as_json)
         scenario, views = plan.scenario.type, [shot.name for shot in plan.shots()]
-        data = {"spec": str(spec), "name": plan.spec.name, "scenario": scenario, "views": views}
+        data = {"spec": str(spec), "name": plan.spec.name, "scenario": scenario, "views": views, "errors": []}
         print_result(lambda: f"{spec}: ok, {scenario}, views: {', '.join(views)}", lambda: data, quiet, as_json)
 
 

@@ -64,8 +64,12 @@ class Checker:
         """Raise an InputError about the mistake that comes first in the file; missing keys come after all others."""
         if self._problems:
             # what is missing may follow from a misspelt key, which is the mistake to show then
-            first = min(self._problems, key=lambda p: (not self._document.written(p.at), self._document.order(p.at)))
-            raise InputError(f"{dotted(first.at)}: {first.message}", self._document.where(first.at))
+            key = lambda p: (not self._document.written(p.at), self._document.order(p.at))  # noqa: E731
+            first, *others = sorted(self._problems, key=key)
+            raise InputError(*self._told(first), tuple(InputError(*self._told(other)) for other in others))
+
+    def _told(self, problem: _Problem) -> tuple[str, str]:
+        return f"{dotted(problem.at)}: {problem.message}", self._document.where(problem.at)
 
     def settle(self, result: _T | None) -> _T:
         """The result of a validation; raises an InputError instead if there was any mistake in the document."""

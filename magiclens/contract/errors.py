@@ -1,5 +1,7 @@
 """The errors that magiclens raises on purpose, by whose fault they are; each has an exit code of the command line."""
 
+from __future__ import annotations
+
 
 class MagicLensError(Exception):
     """Base of every error that magiclens raises on purpose.
@@ -20,13 +22,20 @@ class InputError(MagicLensError):
     Attributes:
         message: What is wrong and what to do about it.
         where: ``file:line`` or the name of the option; None if it is not known.
+        others: Further mistakes in the same file, in its order; some may follow from this one.
     """
 
     exit_code = 2
 
-    def __init__(self, message: str, where: str | None = None, keys: tuple[str, ...] = ()):
+    def __init__(
+        self,
+        message: str,
+        where: str | None = None,
+        keys: tuple[str, ...] = (),
+        others: tuple[InputError, ...] = (),
+    ):
         super().__init__(f"{where}: {message}" if where else message)
-        self.message, self.where, self.keys = message, where, keys
+        self.message, self.where, self.keys, self.others = message, where, keys, others
 
 
 class StageError(MagicLensError):

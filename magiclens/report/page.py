@@ -11,7 +11,7 @@ from magiclens.contract.result import RunResult
 from magiclens.drawing.figure import Figure
 from magiclens.drawing.photographs import Photograph
 from magiclens.pages.templating import render_page
-from magiclens.report.tables import file_rows, headline_rows, lens_rows, metric_rows, option_rows, score_rows
+from magiclens.report.tables import errands, file_rows, headline_rows, lens_rows, metric_rows, option_rows, score_rows
 
 
 def figure_block(figure: Figure) -> str:
@@ -38,6 +38,7 @@ def report_page(
         views=len(data.scene.views),
         figures=[Markup(block) for block in figures],
         headlines=headline_rows(data, photos),
+        errands=errands(data.scene, folder),
         renderers=list(photos),
         scores=score_rows(data.scene, photos),
         metrics=metric_rows(manifest["metrics"]),

@@ -105,6 +105,12 @@ _FILE_CONTENTS = {
 """What a file of a run folder holds, by the beginning of its path."""
 
 
+_BESIDE_THE_LENS = ("jig", "monitor", "pdf")
+"""Files of exporters that hold no lens, by what follows ``lens.``: the jig, pictures for screens, the sheet."""
+_MOST_SOURCES = 8
+"""Most sources that the errands name; an animation has many more."""
+
+
 class TableRow(NamedTuple):
     """A line of a table with two columns."""
 
@@ -129,6 +135,35 @@ class FileRow(NamedTuple):
     path: str
     content: str
     size: str
+
+
+class Errand(NamedTuple):
+    """Something to be done to have the lens in hand: what, with which files of the run folder, and how."""
+
+    title: str
+    files: Sequence[str]
+    how: str
+
+
+def errands(scene: Scene, folder: Path) -> list[Errand]:
+    """What is to be done to have the lens in hand, with the files of a run folder that it takes."""
+    lens, view = scene.lens, scene.views[0]
+    beside = sorted(path.name for path in folder.glob("lens.*"))
+    jig, screen, sheet = ([name for name in beside if name.startswith(f"lens.{kind}")] for kind in _BESIDE_THE_LENS)
+    bodies = [name for name in beside if name not in {*jig, *screen, *sheet}]
+    sources = sheet or sorted(path.relative_to(folder).as_posix() for path in folder.glob("sources/*.png"))
+    size = "at 100 %, without fitting to the page" if sheet else f"exactly {lens.source_size_mm:g} mm wide"
+    x, y, z = view.eye_mm
+    aside = f", {x:+.0f} mm to the right and {y:+.0f} mm up" if abs(x) + abs(y) > 0.5 else ""
+    eye = f"with one eye, {z - lens.thickness_mm:.0f} mm above the lens{aside}"
+    found = [
+        Errand("Check it", [n for n in ("preflight.html",) if (folder / n).is_file()], "is it fit to be made?"),
+        Errand("Have the lens made", bodies, f"send one of these to the maker; it is {lens.size_mm:g} mm wide, in mm"),
+        Errand("Print the sheet", sources[:_MOST_SOURCES], f"{size}; {len(sources)} in all"),
+        Errand("Print the jig", jig, "in any plastic; it holds sheet, lens and eye in place"),
+        Errand("Or show it on a screen", screen, "pixel for pixel"),
+    ]
+    return [*(errand for errand in found if errand.files), Errand(f"Look through it: {view.name}", [], eye)]
 
 
 def headline_rows(data: RunResult, photos: Mapping[str, Sequence[Photograph]]) -> list[TableRow]:
