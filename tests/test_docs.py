@@ -18,8 +18,10 @@ from typer.testing import CliRunner
 from magiclens.cli import app
 from magiclens.config.model import LensSpec
 from magiclens.contract.stages import KINDS
+from magiclens.images import read_image, to_display
 from magiclens.images.art import ART
 from magiclens.images.files import write_png
+from magiclens.images.score import psnr_db
 from magiclens.plan.registry import STAGE, Registry
 from magiclens.web.gallery.docs import Library, anchor_of, doc_page, doc_paths, inline_markup
 from magiclens.web.gallery.drawings import DRAWINGS, PX_PER_MM, example_facet, seen_through
@@ -145,6 +147,28 @@ def test_the_architecture_has_a_paragraph_on_every_folder() -> None:
     folders = {path.parent.name for path in (ROOT / "magiclens").glob("*/__init__.py")}
     assert len(told) == len(set(told))
     assert set(told) == folders
+
+
+@pytest.fixture
+def symptoms(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The script that simulates what goes wrong."""
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    return import_module("draw_symptoms")
+
+
+def test_the_guide_from_symptom_to_cause_shows_every_simulated_picture(symptoms: ModuleType) -> None:
+    text = (ROOT / "docs" / "how-to" / "when-it-does-not-work.md").read_text(encoding="utf-8")
+    shown = re.findall(r"\.\./images/symptoms/([\w-]+)\.png", text)
+    files = sorted(path.stem for path in (ROOT / "docs" / "images" / "symptoms").iterdir())
+    assert sorted(shown) == files == sorted(symptoms.SYMPTOMS)
+
+
+@pytest.mark.tools
+def test_the_pictures_of_symptoms_are_those_of_the_code(symptoms: ModuleType) -> None:
+    """As like as pictures are that are simulated on another processor."""
+    for name, picture in symptoms.pictures():
+        kept = read_image(symptoms.IMAGES / f"{name}.png")
+        assert psnr_db(to_display(picture), to_display(kept)) > 20, f"{name}: run `python docs/draw_symptoms.py`"
 
 
 @pytest.mark.parametrize("page", PAGES + DOORS, ids=[page.stem for page in PAGES + DOORS])
