@@ -66,7 +66,7 @@ class Checker:
             # what is missing may follow from a misspelt key, which is the mistake to show then
             key = lambda p: (not self._document.written(p.at), self._document.order(p.at))  # noqa: E731
             first, *others = sorted(self._problems, key=key)
-            raise InputError(*self._told(first), tuple(InputError(*self._told(other)) for other in others))
+            raise InputError(*self._told(first), others=tuple(InputError(*self._told(other)) for other in others))
 
     def _told(self, problem: _Problem) -> tuple[str, str]:
         return f"{dotted(problem.at)}: {problem.message}", self._document.where(problem.at)
