@@ -1,9 +1,10 @@
-"""Six kinds of broken plugin, really installed, all at once: each is named, and everything else goes on."""
+"""Broken plugins of many kinds, really installed, all at once: each is named, and everything else goes on."""
 
 from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -48,6 +49,7 @@ PRINTER = EXPORTER.replace('"mine"', '"printer"').replace(".mine", ".printer")
 BROKEN = {
     "fails-to-import": "import no_such_module",
     "exits-at-import": "raise SystemExit(3)",
+    "ends-at-import": "import os; os._exit(0)",
     "wrong-signature": EXPORTER.replace("mlens_stages()", "mlens_stages(everything)"),
     "raises-in-stage": EXPORTER.replace('"mine"', '"raising"').replace("WORK", "raise SystemExit(4)"),
     "returns-nan": RENDERER.replace("TYPE", "nan").replace("VALUE", "np.nan"),
@@ -56,9 +58,11 @@ BROKEN = {
 AT_LOAD = {
     "fails-to-import": "No module named 'no_such_module'",
     "exits-at-import": "SystemExit: 3",
+    "ends-at-import": "it called os._exit(0)",
     "wrong-signature": "everything",
 }
 MORE = {
+    "ends-in-stage": "from os import _exit" + EXPORTER.replace('"mine"', '"ending"').replace("WORK", "_exit(0)"),
     "raises-no-exception": "class Odd(BaseException): pass\nraise Odd('odd')",
     "is-too-new": f"mlens_contract = '9.0'\n{EXPORTER}",
     "returns-shapes": RENDERER.replace("TYPE", "shapes").replace("(32, 32, 1)", "(32, 31, 3)").replace("VALUE", "0.5"),
@@ -144,6 +148,10 @@ def test_the_listing_names_each_with_its_version_and_the_reason(mlens: Mlens) ->
             f"exporter raising ({versioned('raises-in-stage')}) failed: SystemExit: 4",
         ),
         (
+            "pipeline.exporters=[{type: ending}]",
+            f"exporter ending ({versioned('ends-in-stage')}) failed: SystemExit: it called os._exit(0)",
+        ),
+        (
             "pipeline.renderers=[{type: nan}]",
             f"renderer nan ({versioned('returns-nan')}) broke its contract: single has NaN or infinite values",
         ),
@@ -196,6 +204,21 @@ def test_what_a_stage_prints_is_named_too(mlens: Mlens, tmp_path: Path) -> None:
     who = f"exporter printer ({versioned('prints-garbage')})"
     assert {f"{who}: garbage", f"{who}: raw garbage", f"{who}: garbage of a child"} <= set(done.stderr.splitlines())
     assert (tmp_path / "d" / "lens.printer").read_text() == "x"
+
+
+def test_a_plugin_that_hangs_is_named_and_can_be_disabled(tmp_path: Path) -> None:
+    install(tmp_path, "hangs", "import time; time.sleep(600)")
+    env = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    command = [sys.executable, "-m", "magiclens"]
+    with subprocess.Popen([*command, "schema"], env=env, stderr=subprocess.PIPE, text=True) as waiting:
+        assert waiting.stderr
+        note = waiting.stderr.readline()  # the test would hang with the program
+        waiting.send_signal(signal.SIGINT)
+        assert waiting.stderr.read() == "error: interrupted\n"
+    assert waiting.returncode == 130
+    assert note == "note: still loading plugin hangs (hangs 2.1); if it never ends: mlens --disable-plugin hangs ...\n"
+    told = [*command, *note.split(": mlens ")[1].split(" ...")[0].split(), "schema"]
+    assert subprocess.run(told, env=env, capture_output=True, timeout=60, check=False).returncode == 0
 
 
 @pytest.mark.parametrize("name", ["copies-ply", "copies_ply", "Copies.PLY"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -115,6 +116,14 @@ def test_a_broken_plugin_is_recorded_and_stops_nothing(source: str, reason: str,
     assert failure.plugin.version == "2.1"
     assert len(failure.reason.splitlines()) < 8
     assert reason in describe_plugins(registry)
+
+
+def test_a_process_that_a_plugin_has_forked_may_end_itself() -> None:
+    with blaming("forker"):
+        child = os.fork()
+        if child == 0:
+            os._exit(3)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 3
 
 
 def test_one_flawed_class_does_not_take_its_neighbours_along() -> None:

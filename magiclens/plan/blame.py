@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from magiclens.config.document import Document, Keys, dotted
 from magiclens.contract.errors import InputError, StageError, Terminated
 from magiclens.plan.capture import captured_output
+from magiclens.plan.staying import without_exits
 
 
 class Blamed(StageError):
@@ -28,7 +29,7 @@ def blaming(owner: str) -> Iterator[None]:
         Terminated: A signal has asked the program to end.
     """
     try:
-        with captured_output(owner):
+        with captured_output(owner), without_exits():
             yield
     except (InputError, Blamed, KeyboardInterrupt, Terminated):
         raise

@@ -27,6 +27,7 @@ from magiclens.contract.errors import InputError, StageError, Terminated
 from magiclens.plan.blame import Blamed, blaming
 from magiclens.plan.capture import captured_output
 from magiclens.plan.flaws import analysis_flaw, art_flaw, executor_flaw, scenario_flaw, stage_flaw
+from magiclens.plan.staying import told_when_slow, without_exits
 
 STAGE = "stage"
 """First key of stages in a registry; the second is their kind, the third their type."""
@@ -220,7 +221,8 @@ class Registry:
         for implementation in getattr(self._manager.hook, hook).get_hookimpls():
             try:
                 plugin = self._plugins[implementation.plugin_name]
-                with blaming(f"plugin {plugin.name} ({plugin}): {hook}"):
+                owner = f"plugin {plugin.name} ({plugin}): {hook}"
+                with blaming(owner), told_when_slow(f"in {owner}", plugin.name):
                     implementation.function(*(arguments[name] for name in implementation.argnames))
             except StageError as error:
                 complaints.append(str(error))
@@ -239,7 +241,8 @@ class Registry:
 
     def _load(self, point: EntryPoint, plugin: Plugin) -> None:
         """Import a plugin and add it."""
-        with captured_output(str(plugin)) as output, self._recording(plugin):
+        loading = f"loading plugin {plugin.name} ({plugin})"
+        with captured_output(str(plugin)) as output, told_when_slow(loading, plugin.name), self._recording(plugin):
             self.register(point.load(), plugin)
         if output.first_line:
             self.remarks.append(Failure(plugin, f"prints while it is loaded: {output.first_line!r}"))
@@ -278,7 +281,8 @@ class Registry:
     def _recording(self, plugin: Plugin, where: str = "") -> Iterator[None]:
         """Record whatever goes wrong inside, even what is meant to end the program, and raise nothing of it."""
         try:
-            yield
+            with without_exits():
+                yield
         except (KeyboardInterrupt, Terminated):
             raise
         except BaseException:  # a plugin may call sys.exit() when it is imported
