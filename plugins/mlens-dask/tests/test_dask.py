@@ -45,6 +45,14 @@ def scheduler() -> Iterator[str]:
         yield cluster.scheduler_address
 
 
+@pytest.fixture
+def idle(monkeypatch: pytest.MonkeyPatch) -> Iterator[LocalCluster]:
+    """A scheduler without workers, which the user is told of at once."""
+    monkeypatch.setattr("mlens_dask.executor._PATIENCE_S", 0.1)
+    with LocalCluster(n_workers=0, threads_per_worker=1, dashboard_address="127.0.0.1:0") as cluster:
+        yield cluster
+
+
 @pytest.fixture(scope="module")
 def serial(spec: Path) -> dict[str, bytes]:
     """What a sweep without a cluster writes."""
@@ -103,6 +111,11 @@ def overlapping(lock: Path, number: int) -> int:
     return number
 
 
+def slow(number: int) -> int:
+    time.sleep(0.5)
+    return number
+
+
 def environment(_: int) -> str | None:
     return os.environ.get("NUMBA_NUM_THREADS")
 
@@ -144,6 +157,35 @@ def test_a_scheduler_that_is_not_there_is_named() -> None:
         list(Dask(address="tcp://127.0.0.1:1").map(square, range(2)))
 
 
+def test_a_sweep_without_workers_says_how_to_start_one_and_ends_with_2(
+    spec: Path, idle: LocalCluster, tmp_path: Path
+) -> None:
+    options = ["--executor", "dask", "--executor-set", f"address={idle.scheduler_address}"]
+    out = ["--out", str(tmp_path / "out"), "--executor-set", "wait_s=0.5"]
+    done = CliRunner().invoke(app, ["sweep", str(spec), *SWEEP, *options, *out])
+    assert done.exit_code == 2
+    advice = f"start one on any machine: dask worker {idle.scheduler_address} --nthreads 1"
+    assert f"note: {idle.scheduler_address} has no worker; {advice}\n" in done.stderr
+    error = f"error: wait_s: no worker of {idle.scheduler_address} for 0.5 seconds; {advice}"
+    assert done.stderr.splitlines()[-1] == error
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_worker_that_comes_late_does_the_work(idle: LocalCluster, capfd: pytest.CaptureFixture[str]) -> None:
+    threading.Timer(1, idle.scale, [1]).start()
+    assert list(Dask(address=idle.scheduler_address).map(square, range(3))) == [0, 1, 4]
+    assert capfd.readouterr().err.count("has no worker") == 1
+
+
+def test_a_list_whose_last_worker_has_gone_does_not_wait_for_ever(idle: LocalCluster) -> None:
+    idle.scale(1)
+    results = iter(Dask(address=idle.scheduler_address, wait_s=1).map(slow, range(20)))
+    assert next(results) == 0
+    idle.scale(0)
+    with pytest.raises(InputError, match=r"no worker of .* for 1 seconds"):
+        list(results)
+
+
 def test_a_sweep_on_two_workers_writes_the_same_bytes_as_serial(
     spec: Path, serial: dict[str, bytes], tmp_path: Path
 ) -> None:
@@ -162,27 +204,27 @@ def test_a_sweep_on_a_scheduler_that_is_running_writes_the_same_bytes(
 def test_a_worker_that_is_killed_in_mid_sweep_loses_nothing(
     spec: Path, serial: dict[str, bytes], tmp_path: Path
 ) -> None:
-    out, others = tmp_path / "out", set(psutil.Process().children())
-    killed: list[int] = []
-    killer = threading.Thread(target=kill_one, args=(out, others, killed))
+    out, killed = tmp_path / "out", list[int]()
+    killer = threading.Thread(target=kill_one, args=(out, killed))
     killer.start()
     found = swept(spec, out, "--executor", "dask", "--executor-set", "workers=2")
     killer.join()
     assert killed
+    assert not psutil.pid_exists(killed[0])
     assert found == serial
     assert sorted(path.name for path in out.iterdir() if path.name.startswith(".")) == []
 
 
-def kill_one(out: Path, others: set[psutil.Process], killed: list[int]) -> None:
-    """Kill a worker as soon as one run is finished and another is half done."""
+def kill_one(out: Path, killed: list[int]) -> None:
+    """Kill the worker that is in the middle of a run, as soon as another run is finished."""
     limit = time.monotonic() + 120
-    while not (list(out.glob("*/manifest.json")) and list(out.glob(".mlens-*/*/spec.yaml"))):
-        if time.monotonic() > limit:
-            return
+    while time.monotonic() < limit and not killed:
+        half_done = list(out.glob(".mlens-*/*/spec.yaml"))
+        if half_done and list(out.glob("*/manifest.json")):
+            worker = int(half_done[0].parents[1].name.split("-")[3])  # the process that works in this folder
+            os.kill(worker, signal.SIGKILL)
+            killed.append(worker)
         time.sleep(0.01)
-    workers = [one for one in psutil.Process().children() if one not in others and "spawn_main" in str(one.cmdline())]
-    workers[0].kill()
-    killed.append(workers[0].pid)
 
 
 @pytest.mark.parametrize("blocks", [None, 1, 2, 5, 99])

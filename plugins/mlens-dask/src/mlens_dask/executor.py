@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import logging
+import sys
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from pydantic import Field
@@ -20,6 +22,8 @@ _Result = TypeVar("_Result")
 
 _TIMEOUT = "10s"
 """Longest time that a scheduler may take to answer."""
+_PATIENCE_S = 5.0
+"""Seconds without any worker after which the user is told how to start one, and between two looks for workers."""
 
 _one_at_a_time = threading.Lock()
 """Lock of the one task that a worker's process may work on: compiled code and matplotlib are not made for several."""
@@ -35,15 +39,20 @@ class Dask(Executor):
     )
     workers: int = Field(2, ge=1, le=256, description="worker processes to start if there is no address")
     threads: int = Field(1, ge=1, le=256, description="threads of compiled code in each process that is started")
+    wait_s: float = Field(600, gt=0, description="longest time without any worker, in seconds")
 
     def map(self, function: Callable[[_Item], _Result], items: Iterable[_Item]) -> Iterator[_Result | Exception]:
         """See ``magiclens.Executor``. Dask gives the tasks of a worker that dies, and its results, to others."""
         with self.client() as client:
-            yield from mapped(client, function, items)
+            yield from mapped(client, function, items, self.wait_s)
 
     @contextmanager
     def client(self) -> Iterator[Client]:
-        """A connection to the cluster; a cluster that was started for it ends with it. InputError if none answers."""
+        """A connection to a cluster that has a worker; a cluster that was started for it ends with it.
+
+        Raises:
+            InputError: No scheduler answers, or no worker comes.
+        """
         from distributed import Client
 
         if self.address is None:
@@ -55,6 +64,7 @@ class Dask(Executor):
         except (OSError, ValueError) as error:
             raise InputError(f"no scheduler answers at {self.address!r}: {error}", "address") from None
         with client:
+            wait_for_a_worker(client, self.wait_s)
             yield client
 
     @contextmanager
@@ -82,7 +92,7 @@ class Dask(Executor):
 
 
 def mapped(
-    client: Client, function: Callable[[_Item], _Result], items: Iterable[_Item]
+    client: Client, function: Callable[[_Item], _Result], items: Iterable[_Item], wait_s: float
 ) -> Iterator[_Result | Exception]:
     """Call a function with every item on the workers of a cluster.
 
@@ -93,29 +103,63 @@ def mapped(
         client: The connection to the cluster.
         function: What to call.
         items: What to call it with.
+        wait_s: Longest time without any worker.
 
     Returns:
         The results in the order of the items, as ``magiclens.Executor.map`` has them.
+
+    Raises:
+        InputError: There was no worker for too long.
     """
-    from distributed import KilledWorker, wait
+    from distributed import KilledWorker
 
     listed = list(items)
     shared = client.submit(_itself, function, pure=False)
     # not pure: Dask would work on equal items once
     futures = client.map(_apply, listed, function=shared, pure=False)
     for item, future in zip(listed, futures, strict=True):
-        found = _settled(future)
+        found = _settled(client, future, wait_s)
         if isinstance(found, KilledWorker):
-            wait(futures)
-            found = _settled(client.submit(_apply, item, function=shared, pure=False))
+            for other in futures:
+                _wait_for(client, other, wait_s)
+            found = _settled(client, client.submit(_apply, item, function=shared, pure=False), wait_s)
         yield StageError("worker after worker died of this") if isinstance(found, KilledWorker) else found
 
 
-def _settled(future: Any) -> Any:
+def wait_for_a_worker(client: Client, wait_s: float) -> None:
+    """Wait until a cluster has a worker; after some seconds the user is told how to start one.
+
+    Raises:
+        InputError: None has come in ``wait_s`` seconds.
+    """
+    scheduler, began, told = client.scheduler.address, time.monotonic(), False
+    advice = f"start one on any machine: dask worker {scheduler} --nthreads 1"
+    while not client.nthreads():
+        waited = time.monotonic() - began
+        if waited > wait_s:
+            raise InputError(f"no worker of {scheduler} for {wait_s:g} seconds; {advice}", "wait_s")
+        if waited > _PATIENCE_S and not told:
+            print(f"note: {scheduler} has no worker; {advice}", file=sys.stderr, flush=True)
+            told = True
+        time.sleep(0.1)
+
+
+def _settled(client: Client, future: Any, wait_s: float) -> Any:
+    _wait_for(client, future, wait_s)
     try:
         return future.result()
     except Exception as error:
         return error
+
+
+def _wait_for(client: Client, future: Any, wait_s: float) -> None:
+    """Wait until an item is done, as long as there are workers who could do it."""
+    from distributed import wait
+
+    while not future.done():
+        wait_for_a_worker(client, wait_s)
+        with suppress(TimeoutError):
+            wait(future, _PATIENCE_S)
 
 
 def _itself(function: Callable[[_Item], _Result]) -> Callable[[_Item], _Result]:

@@ -27,7 +27,7 @@ class Blocks(Exhaustive):
         In a task of a sweep, which is on a worker already, all rows are matched there.
 
         Raises:
-            InputError: Some facet reaches no patch at all, or no scheduler answers.
+            InputError: Some facet reaches no patch at all, no scheduler answers, or no worker comes.
         """
         # a worker that waits for other workers would keep its own task's turn
         if _on_a_worker():
@@ -35,7 +35,7 @@ class Blocks(Exhaustive):
         with self.cluster.client() as client:
             rows = self._rows(scene.lens.facets, len(client.nthreads()))
             found = []
-            for block in raising(mapped(client, partial(_match, self, scene), rows)):
+            for block in raising(mapped(client, partial(_match, self, scene), rows, self.cluster.wait_s)):
                 found.append(block)
                 progress(len(found) / len(rows))
         return _joined(found)
