@@ -179,6 +179,7 @@ def test_a_worker_that_comes_late_does_the_work(idle: LocalCluster, capfd: pytes
 
 def test_a_list_whose_last_worker_has_gone_does_not_wait_for_ever(idle: LocalCluster) -> None:
     idle.scale(1)
+    idle.wait_for_workers(1)
     results = iter(Dask(address=idle.scheduler_address, wait_s=1).map(slow, range(20)))
     assert next(results) == 0
     idle.scale(0)

@@ -132,10 +132,10 @@ def wait_for_a_worker(client: Client, wait_s: float) -> None:
     Raises:
         InputError: None has come in ``wait_s`` seconds.
     """
-    scheduler, began, told = client.scheduler.address, time.monotonic(), False
-    advice = f"start one on any machine: dask worker {scheduler} --nthreads 1"
+    began, told = time.monotonic(), False
     while not client.nthreads():
-        waited = time.monotonic() - began
+        waited, scheduler = time.monotonic() - began, client.scheduler_info()["address"]
+        advice = f"start one on any machine: dask worker {scheduler} --nthreads 1"
         if waited > wait_s:
             raise InputError(f"no worker of {scheduler} for {wait_s:g} seconds; {advice}", "wait_s")
         if waited > _PATIENCE_S and not told:
