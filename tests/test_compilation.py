@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -96,6 +97,27 @@ def test_no_part_fails_on_the_small_lens(part: str, spec: Path) -> None:
 def test_specs_that_need_all_kernels_are_right(text: str, tmp_path: Path) -> None:
     (tmp_path / "all.yaml").write_text(text, encoding="utf-8")
     assert load_plan(tmp_path / "all.yaml").matcher.stage.type in ("exhaustive", "multi-view", "dart-throwing")
+
+
+def test_a_child_whose_parent_is_killed_ends_by_itself(spec: Path, tmp_path: Path) -> None:
+    parent = f"""
+import os
+from pathlib import Path
+from magiclens.running.compilation import _start_child
+print(_start_child([Path({str(spec)!r})], (), ("match",)).pid, flush=True)
+input()
+"""
+    env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}  # all of them have to be compiled: it takes long
+    pipe = subprocess.PIPE
+    with subprocess.Popen([sys.executable, "-c", parent], stdin=pipe, stdout=pipe, env=env) as started:
+        assert started.stdout
+        child = int(started.stdout.readline())
+        time.sleep(2)
+        started.kill()
+    limit = time.monotonic() + 20
+    while Path(f"/proc/{child}/stat").exists() and Path(f"/proc/{child}/stat").read_text().split()[2] != "Z":
+        assert time.monotonic() < limit
+        time.sleep(0.05)
 
 
 def test_the_child_names_the_parts_that_are_done(spec: Path) -> None:

@@ -99,7 +99,7 @@ def reporting(traceback: bool) -> Iterator[None]:
     except MagicLensError as error:
         _fail(str(error), error.exit_code, traceback)
     except OSError as error:
-        _fail(f"{error.filename or 'file'}: {error.strerror}", 1, traceback)
+        _fail(f"{error.filename or 'file'}: {error.strerror or error}", 1, traceback)
     except KeyboardInterrupt:
         _fail("interrupted", 128 + signal.SIGINT, traceback)  # as shells count it
 

@@ -11,6 +11,8 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -252,6 +254,18 @@ _LATE = ("refine", "render", "inspect", "analyse")
 """What the child compiles, in the order in which a run needs it, the longest first."""
 
 
+def _end_with_parent() -> None:
+    """End this process soon after the one that started it, which may have been killed."""
+
+    def watch(parent: int) -> None:
+        while os.getppid() == parent:
+            time.sleep(0.5)
+        os._exit(1)
+
+    threading.Thread(target=watch, args=[os.getppid()], daemon=True).start()
+
+
 if __name__ == "__main__":
+    _end_with_parent()
     for path in sys.argv[2].split(os.pathsep):
         compile_parts(sys.argv[1].split(","), Path(path), sys.argv[3:])

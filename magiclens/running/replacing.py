@@ -16,6 +16,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from hashlib import sha256
+from itertools import chain
 from pathlib import Path
 
 from magiclens.contract.errors import InputError
@@ -28,14 +29,16 @@ _FILLED = "new"
 """Name, inside a hidden folder, of the folder that is being filled."""
 _AT_CWD, _EXCHANGE = -100, 2
 """Linux's AT_FDCWD and RENAME_EXCHANGE, from ``linux/fcntl.h`` and ``linux/fs.h``."""
+_CANNOT = (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP)
+"""Errors of a disk, such as one on NFS, that cannot do what it is asked for."""
 
 
 @contextmanager
 def atomic_folder(place: Path, said: Callable[[str], None] = lambda _: None) -> Iterator[Path]:
     """Yield an empty folder to fill, which takes its place if the block succeeds and is deleted if it fails.
 
-    What was at the place is replaced at the end of a block that succeeds, not before. What a killed process has left
-    beside the place is removed, or put back if the place is empty.
+    What was at the place is replaced at the end of a block that succeeds, not before, and not before all files are on
+    the disk. What a killed process has left beside the place is removed, or put back if the place is empty.
 
     Args:
         place: Where the folder shall be; no link. Nothing, or a folder, is there.
@@ -43,31 +46,40 @@ def atomic_folder(place: Path, said: Callable[[str], None] = lambda _: None) -> 
 
     Raises:
         InputError: The folder above cannot be written to.
+        OSError: A file could not be written; it is named as if it were in its place.
     """
     above = next(folder for folder in place.parents if folder.exists())
     clear_leftovers(place, said)
     hidden = _new_hidden_folder(above, place)
+    filled = hidden / _FILLED
     try:
-        filled = hidden / _FILLED
-        filled.mkdir()
-        yield filled
-        place.parent.mkdir(parents=True, exist_ok=True)
-        _take_place(filled, place, hidden / _REPLACED)
+        with _naming(filled, place):
+            filled.mkdir()
+            yield filled
+            place.parent.mkdir(parents=True, exist_ok=True)
+            _write_out(filled)
+            _take_place(filled, place, hidden / _REPLACED)
     finally:
-        shutil.rmtree(hidden, ignore_errors=True)
+        _remove_hidden(hidden, place)
 
 
 @contextmanager
 def atomic_file(path: Path) -> Iterator[Path]:
-    """Yield a path to write a file to, which replaces ``path`` if the block succeeds and is deleted if it fails."""
+    """Yield a path to write a file to, which replaces ``path`` if the block succeeds and is deleted if it fails.
+
+    Otherwise like ``atomic_folder``.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
+    clear_leftovers(path)
     hidden = _new_hidden_folder(path.parent, path)
+    partial = hidden / f"{_FILLED}{path.suffix}"  # writers choose a format by the ending
     try:
-        partial = hidden / path.name
-        yield partial
-        os.replace(partial, path)
+        with _naming(partial, path):
+            yield partial
+            _write_out(partial)
+            os.replace(partial, path)
     finally:
-        shutil.rmtree(hidden, ignore_errors=True)
+        _remove_hidden(hidden, path)
 
 
 def clear_leftovers(place: Path, said: Callable[[str], None] = lambda _: None) -> None:
@@ -80,12 +92,47 @@ def clear_leftovers(place: Path, said: Callable[[str], None] = lambda _: None) -
     above = next((folder for folder in place.parents if folder.exists()), None)
     for hidden in sorted(above.glob(f"{_MARK}{_digest(place)}-*")) if above else ():
         if not _is_alive(hidden.name):
-            if not place.exists() and (hidden / _REPLACED).exists():
-                (hidden / _REPLACED).rename(place)
+            if _remove_hidden(hidden, place):
                 said(f"'{place}' was about to be replaced when the program was killed: it is back")
             else:
                 said(f"removed what a killed run to '{place}' has left")
-            shutil.rmtree(hidden, ignore_errors=True)
+
+
+def _remove_hidden(hidden: Path, place: Path) -> bool:
+    """Remove a hidden folder; whether it had what was at the place, which is put back if the place is empty."""
+    lost = not place.exists() and (hidden / _REPLACED).exists()
+    if lost:
+        (hidden / _REPLACED).rename(place)
+    shutil.rmtree(hidden, ignore_errors=True)
+    return lost
+
+
+@contextmanager
+def _naming(hidden: Path, place: Path) -> Iterator[None]:
+    """Let errors of the system name the place, which people know, and not what is filled beside it."""
+    try:
+        yield
+    except OSError as error:
+        # the second of two names is where a copy or a renamed file was to go
+        named = Path(os.fsdecode(error.filename2 or error.filename or hidden))
+        error.filename = str(place / named.relative_to(hidden) if named.is_relative_to(hidden) else named)
+        error.filename2 = None
+        raise
+
+
+def _write_out(path: Path) -> None:
+    """Have a file or a folder of files written to the disk: a name may be there before the content otherwise."""
+    for each in chain([path], path.rglob("*")):
+        if each.is_file():
+            handle = os.open(each, os.O_RDWR)
+            try:
+                os.fsync(handle)
+            except OSError as error:
+                error.filename = str(each)
+                if error.errno not in _CANNOT:
+                    raise
+            finally:
+                os.close(handle)
 
 
 def _take_place(filled: Path, place: Path, replaced: Path) -> None:
@@ -108,7 +155,7 @@ def _exchange(one: Path, other: Path) -> bool:
     if rename(_AT_CWD, os.fsencode(one), _AT_CWD, os.fsencode(other), _EXCHANGE) == 0:
         return True
     code = ctypes.get_errno()
-    if code in (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP):  # such as on NFS
+    if code in _CANNOT:
         return False
     raise OSError(code, os.strerror(code), str(other))
 

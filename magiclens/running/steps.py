@@ -5,6 +5,7 @@ What an earlier run has kept is not done again; see ``magiclens.cache``.
 
 from __future__ import annotations
 
+import os
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
@@ -149,7 +150,11 @@ class Steps:
             given = scene.value, solid.value  # before the step begins: they may have to be made themselves
 
             def write(_: Progress) -> Path:
-                step.stage.export(*given, path)
+                try:
+                    step.stage.export(*given, path)
+                except OSError as error:  # a disk that is full does not say which file it had no room for
+                    error.filename = Path(os.fsdecode(error.filename or path)).name
+                    raise
                 return path
 
             self._done(step, write, check_file)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Callable, Iterable, Mapping
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,11 +15,14 @@ from magiclens.plan.compile import load_plan
 from magiclens.plan.registry import Registry
 from magiclens.running.folder import MANIFEST
 from magiclens.running.jobs import RunJob, finished_manifest, run_job
-from magiclens.running.replacing import clear_leftovers
+from magiclens.running.replacing import atomic_file, clear_leftovers
 from magiclens.sweep.combine import Combination, combinations
 from magiclens.sweep.page import combination_pictures, sweep_image, sweep_page
 from magiclens.sweep.results import Sweep, SweepResult
 from magiclens.sweep.table import sweep_csv, sweep_json
+
+_SHEET = ("png", "html", "csv", "json")
+"""Endings of the files of a sheet; they appear from the last to the first."""
 
 
 def sweep_spec(
@@ -113,12 +114,9 @@ def _refuse_other_folders(folder: Path) -> None:
 def _write_sheet(done: Sweep) -> None:
     """Write all files of the sheet, or none."""
     shown = combination_pictures(done)
-    done.folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=".sheet-", dir=done.folder) as scratch:
-        written = Path(scratch)
-        (written / "sweep.json").write_text(sweep_json(done), encoding="utf-8")
-        (written / "sweep.csv").write_text(sweep_csv(done), encoding="utf-8", newline="")
-        (written / "sweep.html").write_text(sweep_page(done, shown), encoding="utf-8")
-        sweep_image(done, shown).save(written / "sweep.png", "PNG", compress_level=4)
-        for path in sorted(written.iterdir()):
-            os.replace(path, done.folder / path.name)
+    with ExitStack() as written:
+        path = {name: written.enter_context(atomic_file(done.folder / f"sweep.{name}")) for name in _SHEET}
+        path["json"].write_text(sweep_json(done), encoding="utf-8")
+        path["csv"].write_text(sweep_csv(done), encoding="utf-8", newline="")
+        path["html"].write_text(sweep_page(done, shown), encoding="utf-8")
+        sweep_image(done, shown).save(path["png"], "PNG", compress_level=4)
