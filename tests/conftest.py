@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+import hypothesis
 import numpy as np
 import pytest
 from playwright.sync_api import Browser
@@ -21,6 +22,9 @@ from toys import SPEC, TOYS, SpecWriter, registry_of
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 """Tests run side by side: kernels whose threads wait busily for each other would take the others' cores."""
 
+hypothesis.settings.register_profile("suite", deadline=None)
+hypothesis.settings.load_profile("suite")
+"""Machines of the suite are busy and compile on the way: how long an example takes says nothing."""
 
 os.environ["MLENS_CACHE_SIZE"] = "0"
 """Tests see every stage run, and leave the user's cache alone; those about the cache have one of their own."""

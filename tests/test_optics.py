@@ -272,7 +272,7 @@ def test_a_facet_is_put_within_its_bounds() -> None:
     assert height == pytest.approx(0.5, abs=1e-4)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(st.integers(0, 2**32 - 1), st.integers(2, 5), st.integers(1, 4))
 def test_a_cold_sweep_never_raises_the_energy(seed: int, n: int, labels: int) -> None:
     rng = np.random.default_rng(seed)

@@ -6,7 +6,7 @@ A few aliases of aliases stand for millions of values. The events of the parser 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from datetime import datetime
 from typing import Any
 
@@ -33,8 +33,8 @@ def check_yaml(text: str, name: str) -> None:
 
     Raises:
         InputError: It is too long, holds too many values or levels, or something that no spec needs and that the parser
-            would fail on: tags, aliases of what they are in, numbers that are too long, dates that do not exist. The
-            error names the line.
+            would fail on: tags, keys that are no words, aliases of what they are in, numbers that are too long, dates
+            that do not exist. The error names the line.
         ruamel.yaml.error.YAMLError: It is not YAML.
     """
     if len(text) > MOST_SPEC_BYTES:
@@ -42,7 +42,7 @@ def check_yaml(text: str, name: str) -> None:
     sizes: dict[str, int | None] = {}
     opened: list[tuple[str | None, int]] = []
     values = 0
-    for event in _events(text):
+    for event in _with_plain_keys(_events(text), name):
         kind, where = type(event).__name__, f"{name}:{event.start_mark.line + 1}"
         if kind in ("MappingEndEvent", "SequenceEndEvent"):
             anchor, before = opened.pop()
@@ -73,6 +73,24 @@ def _events(text: str) -> Iterator[Any]:
     from ruamel.yaml import YAML
 
     return iter(YAML(typ="rt").parse(text))
+
+
+def _with_plain_keys(events: Iterable[Any], name: str) -> Iterator[Any]:
+    """The same events. Raises InputError at a key that is a mapping, a list or an alias, on which the parser fails."""
+    at_key: list[bool | None] = []  # for each mapping that is open: whether a key comes next; None for lists
+    for event in events:
+        kind = type(event).__name__
+        if kind in ("MappingEndEvent", "SequenceEndEvent"):
+            at_key.pop()
+        elif kind in ("MappingStartEvent", "SequenceStartEvent", "ScalarEvent", "AliasEvent"):
+            if at_key and at_key[-1] is not None:
+                if at_key[-1] and kind != "ScalarEvent":
+                    where = f"{name}:{event.start_mark.line + 1}"
+                    raise InputError("a key is a word, not a mapping, a list or an alias", where)
+                at_key[-1] = not at_key[-1]
+            if kind in ("MappingStartEvent", "SequenceStartEvent"):
+                at_key.append(True if kind == "MappingStartEvent" else None)
+        yield event
 
 
 def _size_of(anchor: str, sizes: dict[str, int | None], where: str) -> int:

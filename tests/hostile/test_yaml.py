@@ -46,6 +46,10 @@ BOMBS: dict[str, tuple[str, int]] = {
     "an end that is missing": ("\n" * 400_000 + "a: [", 400_001),
     "a tab": ("name: x\n\ta: 1", 2),
     "a key twice": ("a: 1\na: 2", 2),
+    "a mapping as key": ("name: x\n{a: 1}: 2", 2),
+    "a mapping in a mapping as key": ("name: x\na: {{b: {c: 1}}: 2}", 2),
+    "a list as key": ("name: x\n? [1, {a: 2}]\n: 2", 2),
+    "an alias as key": ("name: &a {b: 1}\n*a : 2", 2),
 }
 
 
