@@ -41,7 +41,7 @@ def commands(folder: Path) -> list[list[str]]:
     return [
         ["decode", str(folder), source, "-o", out],
         ["encode", str(folder), source, "-o", out],
-        ["view", str(folder), "--out", str(folder.parent / "view.html")],
+        ["view", str(folder), "--no-open", "--out", str(folder.parent / "view.html")],
         ["preflight", str(folder)],
     ]
 
