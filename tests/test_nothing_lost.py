@@ -62,6 +62,11 @@ class Place:
         if older:
             shutil.copytree(self._older, self.out)
 
+    def changes(self, older: bool, swaps: bool) -> int:
+        """How many changes a run makes."""
+        self.begin(older)
+        return self.run(swaps=swaps).changes
+
     def found(self) -> dict[str, bytes]:
         """The files of the run; timings left out."""
         paths = [path for path in self.out.rglob("*") if path.is_file()]
@@ -131,13 +136,13 @@ def failing(place: Place, numbers: list[int], older: bool, swaps: bool) -> None:
 
 def test_a_change_that_fails_is_named_and_loses_nothing(place: Place) -> None:
     """Where names cannot be exchanged, which is the harder case."""
-    failing(place, some(place.run(swaps=False).changes, 16, 4), True, False)
+    failing(place, some(place.changes(True, False), 16, 4), True, False)
 
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("older", [True, False])
 def test_every_change_that_fails_loses_nothing(older: bool, place: Place, swaps: bool) -> None:
-    failing(place, some(place.run(swaps=swaps).changes, 1), older, swaps)
+    failing(place, some(place.changes(older, swaps), 1), older, swaps)
 
 
 def ended_by(place: Place, number: signal.Signals, at: int, older: bool, swaps: bool) -> None:
@@ -151,7 +156,7 @@ def ended_by(place: Place, number: signal.Signals, at: int, older: bool, swaps: 
 
 @pytest.mark.parametrize("number", CODES, ids=lambda number: number.name)
 def test_a_signal_at_any_change_loses_nothing(number: signal.Signals, place: Place) -> None:
-    for at in some(place.run(swaps=False).changes, 70, 3):
+    for at in some(place.changes(True, False), 70, 3):
         ended_by(place, number, at, True, False)
 
 
@@ -161,7 +166,7 @@ def test_a_signal_at_any_change_loses_nothing(number: signal.Signals, place: Pla
 def test_signals_at_every_change_lose_nothing(
     number: signal.Signals, older: bool, place: Place, swaps: bool
 ) -> None:
-    for at in some(place.run(swaps=swaps).changes, 1 if number == signal.SIGKILL else 5):
+    for at in some(place.changes(older, swaps), 1 if number == signal.SIGKILL else 5):
         ended_by(place, number, at, older, swaps)
 
 
@@ -171,8 +176,7 @@ def test_a_run_that_is_killed_while_it_keeps_results_spoils_none(
 ) -> None:
     monkeypatch.setenv("MLENS_CACHE_SIZE", "1GB")
     monkeypatch.setenv("MLENS_CACHE_DIR", str(place.root / "cache"))
-    place.begin(True)
-    for at in some(place.run().changes, step, 0):
+    for at in some(place.changes(True, True), step, 0):
         shutil.rmtree(place.root / "cache")
         ended_by(place, signal.SIGKILL, at, True, True)
 
