@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from magiclens.contract.artifacts import BoolArray, Candidates, Lens, Scene, View
+from magiclens.contract.artifacts import BoolArray, Candidates, IntArray, Lens, Scene, View
 from magiclens.contract.errors import InputError
 from magiclens.matching.dart_throwing import DartThrowing, throw_darts
+from magiclens.matching.dart_throwing_kernels import Labels, draw_again
 
 LENS = Lens(size_mm=40, source_size_mm=40, facets=6, microfacets=24, thickness_mm=40)
 PAPER = np.ones((120, 120, 1), np.float32)
@@ -53,6 +56,24 @@ def test_every_mirror_sign_of_a_place_is_offered() -> None:
 def test_draws_differ_by_seed_only() -> None:
     np.testing.assert_array_equal(thrown(1).offsets_mm, thrown(1).offsets_mm)
     assert (thrown(1).offsets_mm != thrown(2).offsets_mm).any()
+
+
+def test_drawing_again_gives_every_facet_its_turn_in_every_sweep(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What facets have drawn first is forbidden them; the first sweep has turns of one facet alone."""
+
+    def forbidding(chosen: IntArray, owner: IntArray, labels: Labels, turns: IntArray, *more: Any) -> None:
+        usable, (i, j) = labels.usable.copy(), np.indices(chosen.shape)
+        usable[i, j, chosen] = False
+        count = chosen.size
+        turns = np.array([np.zeros(count, int), np.arange(count)])
+        draw_again(chosen, owner, labels._replace(usable=usable), turns, *more)
+        assert usable[i, j, chosen].all()
+        drawn = labels.regions[i, j, chosen].ravel()
+        assert len(set(drawn.tolist())) == count
+        assert (owner[drawn] == np.arange(count)).all()
+
+    monkeypatch.setattr("magiclens.matching.dart_throwing_kernels.draw_again", forbidding)
+    thrown(0)
 
 
 def test_reach_bounds_how_far_facets_look() -> None:

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.sparse import csr_array, eye_array
+from scipy.sparse import csr_array, eye_array, hstack
 
 from magiclens.analysis.leaks import leaks
 from magiclens.contract.artifacts import BoolArray, FloatArray, Scene, Transport, View
-from magiclens.encoding.least_squares import LeastSquaresEncoder
+from magiclens.encoding.least_squares import LeastSquaresEncoder, _exposure, _SourceMatrix
 from magiclens.images import to_display
 from test_darts import LENS
 
@@ -126,6 +126,88 @@ def test_reserved_pixels_stay_bit_for_bit_and_are_reckoned_with(finer: int, rng:
     (view,) = encoded(given, [transport], camouflage={"type": "noise"}, bleed="2mm").views
     np.testing.assert_array_equal(view.source[reserved], given.views[0].source[reserved])
     assert (view.source != given.views[0].source)[~reserved].mean() > 0.9
+
+
+def straight(*shares: float) -> Transport:
+    """Every pixel of the picture draws these shares from so many blocks of the source, one below the other."""
+    rows = 4 * SIDE * SIDE // len(shares)
+    identity = eye_array(rows, dtype=np.float32)
+    matrix = csr_array(hstack([np.float32(share) * identity for share in shares]))
+    return Transport(matrix, (rows // (2 * SIDE), 2 * SIDE), (2 * SIDE, 2 * SIDE))
+
+
+def test_what_is_reserved_is_taken_off_what_painted_pixels_have_to_show(rng: np.random.Generator) -> None:
+    """Half of what the eye sees comes from pixels that keep their value."""
+    reserved = np.zeros((2 * SIDE, 2 * SIDE), bool)
+    reserved[: SIDE] = reserved[SIDE + SIDE // 2 :] = True
+    transport = straight(0.2, 0.2, 0.4, 0.2)
+    lens = scene(rng, [np.full((SIDE, SIDE, 1), 0.5, np.float32)], ["a"], reserved)
+    (view,) = encoded(lens, [transport], exposure=1, pull=0, iterations=100).views
+    blocks = view.source.reshape(4, -1)
+    wanted = (0.5 - 0.2 * (blocks[0] + blocks[1] + blocks[3])) / 0.4
+    np.testing.assert_allclose(blocks[2], np.clip(wanted, 0, 1), atol=0.01)
+
+
+def test_pictures_are_as_bright_as_three_quarters_of_the_lit_pixels_can_be(rng: np.random.Generator) -> None:
+    """And never brighter than the target: a lens that gathered light would be given a darker source."""
+    target = np.full((2 * SIDE, 2 * SIDE, 1), 0.5, np.float32)
+    for share, brightness in ((0.6, 0.3), (1.0, 0.5), (2.0, 0.5)):
+        (view,) = encoded(scene(rng, [target], ["a"]), [straight(share)], pull=0).views
+        np.testing.assert_allclose(straight(share).see(view.source), brightness, atol=0.01)
+    through = np.concatenate([np.zeros(50), np.full(30, 0.4), np.full(70, 0.8)])[:, None]
+    assert _exposure(None, through) == pytest.approx(0.4)
+    assert _exposure(None, through[::-1][:90]) == pytest.approx(0.8)
+    assert _exposure(0.3, through) == 0.3
+
+
+def test_pixels_are_pulled_to_what_was_given_only_as_far_as_they_matter_little(rng: np.random.Generator) -> None:
+    """The second of two pixels that are seen together lets through a hundredth of the light of the first."""
+    target = np.full((SIDE, 2 * SIDE, 1), 0.5, np.float32)
+    transport = straight(0.8, 0.008)
+    given = scene(rng, [target], ["a"])
+    before = given.views[0].source.reshape(2, -1)
+    moved = []
+    for pull in (0.0, 0.01, 100.0):
+        (view,) = encoded(given, [transport], exposure=0.8, pull=pull, iterations=300).views
+        moved.append(abs(view.source.reshape(2, -1) - before).mean(axis=1))
+    (free, _), (some, little), (none, nothing) = moved
+    assert free > 0.2
+    assert some > 0.9 * free
+    assert little < 0.01
+    assert none < 0.01
+    assert nothing < 0.01
+
+
+def test_the_solver_starts_its_acceleration_anew_when_it_overshoots(rng: np.random.Generator) -> None:
+    """A blurred view is slow to solve: without that, a hundred steps end fifty times as far from the solution."""
+    rows = 4 * SIDE * SIDE
+    blur = csr_array(sum(eye_array(rows, k=k, dtype=np.float32) for k in range(-6, 7)) / np.float32(14))
+    matrix = _SourceMatrix([Transport(blur, (2 * SIDE, 2 * SIDE), (2 * SIDE, 2 * SIDE))], None, 0)
+    given, other = rng.uniform(0.4, 0.6, (2, rows, 1)).astype(np.float32)
+    solved, early = (
+        LeastSquaresEncoder(exposure=1, pull=0.01, iterations=steps)._solve(matrix, matrix.see(other), given)
+        for steps in (800, 100)
+    )
+    assert abs(early - solved).max() < 1e-4
+
+
+@pytest.mark.parametrize("bleed_px", [0, 1, 3])
+def test_painted_pixels_spread_as_far_as_they_are_told_and_no_farther(
+    bleed_px: int, rng: np.random.Generator
+) -> None:
+    """One block of the source is seen; around it the nearest painted pixel is repeated."""
+    seen = np.zeros((2 * SIDE, 2 * SIDE), bool)
+    seen[20:28, 20:28] = True
+    matrix = csr_array(eye_array(4 * SIDE * SIDE, dtype=np.float32))[np.flatnonzero(seen)]
+    transport = Transport(csr_array(matrix), (8, 8), (2 * SIDE, 2 * SIDE))
+    given = scene(rng, [rng.random((8, 8, 1)).astype(np.float32)], ["a"])
+    bleed = f"{(bleed_px + 0.1) * LENS.source_size_mm / (2 * SIDE)}mm" if bleed_px else "0mm"
+    (view,) = encoded(given, [transport], bleed=bleed).views
+    rows, columns = np.indices(seen.shape)
+    nearest = np.clip(rows, 20, 27), np.clip(columns, 20, 27)
+    near = np.hypot(rows - nearest[0], columns - nearest[1]) <= bleed_px + 0.1
+    np.testing.assert_array_equal(view.source[near], view.source[nearest][near])
+    np.testing.assert_array_equal(view.source[~near], given.views[0].source[~near])
 
 
 def test_no_pixel_changes_by_more_than_allowed(rng: np.random.Generator) -> None:

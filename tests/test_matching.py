@@ -350,6 +350,25 @@ def busy_candidates(eye: Eye = ABOVE) -> tuple[Lens, Candidates]:
     return lens, matched(Exhaustive(window="14mm", candidates=25), scene)
 
 
+def test_a_pool_points_y_down_and_gives_candidates_back_as_they_were() -> None:
+    rng = np.random.default_rng(0)
+    arrays = (rng.normal(size=(2, 2, 5, width)).astype(np.float32) for width in (2, 3))
+    given = Candidates(*arrays, np.sort(rng.random((2, 2, 5)), axis=-1).astype(np.float32))
+    pool, lens = Pool.of(given), Lens(size_mm=20, source_size_mm=20, facets=2, microfacets=4, thickness_mm=20)
+    np.testing.assert_array_equal(pool.offsets.reshape(2, 2, 5, 2) * (1, -1), given.offsets_mm)
+    np.testing.assert_array_equal(pool.maps.reshape(2, 2, 5, 3) * (1, -1, 1), given.maps)
+    back = pool.candidates(lens, 5)
+    for name in ("offsets_mm", "maps", "errors"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(given, name))
+
+
+def test_a_pool_drops_what_is_worse_than_each_facets_best_by_more_than_is_accepted() -> None:
+    pool = Pool(2, 2)
+    pool.errors[:] = [[0.5, 0.1, 0.31, 0.29], [3.0, 3.1, np.inf, 3.3]]
+    pool.drop(0.2)
+    np.testing.assert_array_equal(np.isfinite(pool.errors), [[False, True, False, True], [True, True, False, False]])
+
+
 def test_places_without_a_reachable_patch_stay_empty() -> None:
     """Their errors are infinite; a map of zeros is nobody's."""
     _, found = busy_candidates((100.0, 200.0, THICK + 500.0))
