@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -10,9 +12,9 @@ import pytest
 
 from magiclens.contract.artifacts import FloatArray
 from magiclens.contract.errors import InputError
-from magiclens.images.convert import convert_pictures
 from magiclens.images.files import read_image, write_png
 from magiclens.images.movies import frame_rate, read_frames, write_gif
+from magiclens.running.convert import convert_pictures
 
 LEVELS = (0.0, 0.2, 1.0)
 
@@ -77,3 +79,18 @@ def test_failing_work_leaves_nothing_behind(folder: Path, tmp_path: Path, name: 
     with pytest.raises(InputError, match="too dark"):
         convert_pictures(fails, folder, tmp_path / name)
     assert [path.name for path in tmp_path.iterdir()] == ["in"]
+
+
+@pytest.mark.parametrize("name", ["out.gif", "out"])
+def test_what_killed_work_leaves_does_not_stop_the_next(folder: Path, tmp_path: Path, name: str) -> None:
+    def killed(frames: Iterable[FloatArray]) -> Iterator[FloatArray]:
+        yield next(iter(frames))
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    child = os.fork()
+    if child == 0:
+        convert_pictures(killed, folder, tmp_path / name)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
+    assert not (tmp_path / name).exists()
+    convert_pictures(darker, folder, tmp_path / name)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["in", name]

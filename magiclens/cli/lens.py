@@ -30,7 +30,7 @@ def encode_command(
 ) -> None:
     """Paint the source that shows PICTURES through the universal lens of RUN_DIR."""
     with reporting(traceback):
-        from magiclens.images.convert import convert_pictures
+        from magiclens.running.convert import convert_pictures
         from magiclens.running.open_run import open_run
 
         lens = open_run(run_dir)
@@ -49,7 +49,7 @@ def decode_command(
 ) -> None:
     """Show what the eye sees through the lens of RUN_DIR when SOURCES lie below it."""
     with reporting(traceback):
-        from magiclens.images.convert import convert_pictures
+        from magiclens.running.convert import convert_pictures
         from magiclens.running.open_run import open_run
 
         lens = open_run(run_dir)

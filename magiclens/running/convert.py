@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 from magiclens.contract.artifacts import FloatArray
 from magiclens.contract.errors import InputError
 from magiclens.images.files import read_image, write_png
+from magiclens.running.replacing import atomic_file, atomic_folder
 
 _FPS = 10.0
 """Frames per second of animations that are made from a folder of pictures."""
@@ -45,7 +44,9 @@ def convert_pictures(conversion: Conversion, source: Path, out: Path, px_per_mm:
         raise InputError(f"'{out}' cannot hold this; write {wanted}", "--out")
     results = conversion(read_frames(source) if many else [read_image(source)])
     rate = frame_rate(source) if many else None
-    with _partial_path(out) as path:
+    if out.is_dir() and any(out.iterdir()):
+        raise InputError(f"'{out}' is not empty; choose another folder", "--out")
+    with atomic_file(out) if suffix else atomic_folder(out.resolve()) as path:
         if not many:
             write_png(path, next(results), px_per_mm)
         elif suffix == ".gif":
@@ -53,25 +54,6 @@ def convert_pictures(conversion: Conversion, source: Path, out: Path, px_per_mm:
         elif suffix == ".mp4":
             write_mp4(path, results, rate or _FPS)
         else:
-            path.mkdir()
             for k, picture in enumerate(results):
                 write_png(path / f"frame-{k:04}.png", picture, px_per_mm)
     return out
-
-
-@contextmanager
-def _partial_path(out: Path) -> Iterator[Path]:
-    """Yield a path beside ``out``, which becomes ``out`` if the block succeeds; an old file is replaced.
-
-    Raises InputError if ``out`` is a folder that is not empty.
-    """
-    if out.is_dir() and any(out.iterdir()):
-        raise InputError(f"'{out}' is not empty; choose another folder", "--out")
-    out.parent.mkdir(parents=True, exist_ok=True)
-    partial = out.with_name(f".{out.stem}-partial{out.suffix}")
-    try:
-        yield partial
-        partial.replace(out)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
-        partial.unlink(missing_ok=True)
