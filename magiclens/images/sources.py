@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -26,6 +27,25 @@ COLOURED = tuple(
     )
 )
 """Linear light of a small palette: black, white, red, orange, yellow, green, blue, violet."""
+
+
+def inks(colours: str | Sequence[str]) -> Sequence[Sequence[float]]:
+    """Linear light of inks: ``black-and-white``, ``coloured``, or sRGB values such as ``#d62828``.
+
+    Returns:
+        For each ink its C values; C is 1 if none of them is coloured, else 3.
+
+    Raises:
+        ValueError: A colour is none.
+    """
+    if isinstance(colours, str):
+        return COLOURED if colours == "coloured" else BLACK_AND_WHITE
+    if not all(re.fullmatch("#[0-9a-fA-F]{6}", each) for each in colours):
+        raise ValueError("a colour is a number sign and six digits, such as #d62828")
+    rgb = np.array([list(bytes.fromhex(each[1:])) for each in colours])
+    if (rgb == rgb[:, :1]).all():
+        rgb = rgb[:, :1]
+    return [tuple(each) for each in to_linear(rgb / 255).tolist()]
 
 
 def circles(

@@ -123,7 +123,7 @@ class _Seen:
 
 
 def _is_grey(source: Any) -> bool:
-    return isinstance(source, Plain | TextSource) or (isinstance(source, Circles) and source.colours != "coloured")
+    return isinstance(source, Plain | TextSource) or (isinstance(source, Circles) and source.grey)
 
 
 def _pictures(plan: Plan, seen: _Seen) -> Need:

@@ -12,7 +12,7 @@ from magiclens.config.fields import ImageFile
 from magiclens.config.model import SpecModel
 from magiclens.contract.artifacts import BoolArray, FloatArray
 from magiclens.contract.units import Fraction, Length
-from magiclens.scenarios.pictures import Circles, Radii
+from magiclens.scenarios.pictures import Circles, Inks, Radii
 
 
 class _Cover(SpecModel, ABC):
@@ -78,7 +78,7 @@ class Discs(_Cover):
     radius: Radii = Field(
         ["0.5mm", "2.5mm"], validate_default=True, min_length=2, max_length=2, description="smallest and largest disc"
     )
-    colours: Literal["black-and-white", "coloured"] = Field("black-and-white", description="the discs' inks")
+    colours: Inks = Field("black-and-white", description="the discs' inks, see the source's")
 
     def cover(self, source: FloatArray, known: BoolArray, size_mm: float, rng: np.random.Generator) -> FloatArray:
         """See ``_Cover``."""

@@ -69,6 +69,36 @@ Radii = Annotated[list[Length], AfterValidator(_ordered)]
 """Smallest and largest radius of random discs."""
 
 
+def _known_inks(value: object) -> object:
+    from magiclens.images.sources import inks
+
+    if isinstance(value, str) and value in _NAMED_INKS:
+        return value
+    try:
+        if isinstance(value, list | tuple) and len(inks(value)) > 1:
+            return tuple(value)
+    except (ValueError, TypeError):
+        pass
+    raise ValueError(f"write {' or '.join(_NAMED_INKS)}, or a list such as ['#1a1a1a', '#d62828', '#ffffff']")
+
+
+_NAMED_INKS = ("black-and-white", "coloured")
+
+Inks = Annotated[
+    str | tuple[str, ...],
+    BeforeValidator(_known_inks),
+    WithJsonSchema(
+        {
+            "anyOf": [
+                {"enum": list(_NAMED_INKS)},
+                {"type": "array", "minItems": 2, "items": {"type": "string", "pattern": "^#[0-9a-fA-F]{6}$"}},
+            ]
+        }
+    ),
+]
+"""The inks of random discs: by name, or as sRGB values."""
+
+
 class _Source(SpecModel, ABC):
     """A picture below the lens."""
 
@@ -97,16 +127,23 @@ class Circles(_Source):
     radius: Radii = Field(
         ["0.5mm", "2.5mm"], validate_default=True, min_length=2, max_length=2, description="smallest and largest disc"
     )
-    colours: Literal["black-and-white", "coloured"] = Field("black-and-white", description="the discs' inks")
+    colours: Inks = Field("black-and-white", description="the discs' inks, by name or as a list of sRGB values")
     layers: float = Field(4.0, gt=0, le=100, description="how many discs lie on a point on average")
 
     def raster(self, size_mm: float, art: Art) -> FloatArray:
         """(S, S, C) float32, linear light."""
-        from magiclens.images.sources import BLACK_AND_WHITE, COLOURED, circles
+        from magiclens.images.sources import circles, inks
 
-        inks = COLOURED if self.colours == "coloured" else BLACK_AND_WHITE
-        rng = np.random.default_rng(self.seed)
-        return circles(size_mm, pixels_of(size_mm) / size_mm, rng, (self.radius[0], self.radius[1]), inks, self.layers)
+        rng, colours = np.random.default_rng(self.seed), inks(self.colours)
+        radii = (self.radius[0], self.radius[1])
+        return circles(size_mm, pixels_of(size_mm) / size_mm, rng, radii, colours, self.layers)
+
+    @property
+    def grey(self) -> bool:
+        """Whether no disc is coloured."""
+        from magiclens.images.sources import inks
+
+        return len(inks(self.colours)[0]) == 1
 
     def count(self, size_mm: float) -> int:
         """How many discs there are on a source of this size."""
