@@ -16,6 +16,7 @@ from magiclens.images import score
 from magiclens.images.art import ART
 from magiclens.images.files import read_image, write_png
 from magiclens.images.movies import read_frames, write_gif
+from magiclens.profiles.materials import materials
 from magiclens.running.open_run import open_run
 from magiclens.running.pipeline import Run
 
@@ -97,3 +98,24 @@ def test_what_cannot_be_reopened_says_so(run: Run, tmp_path: Path) -> None:
         open_run(tmp_path)
     with pytest.raises(InputError, match="unknown view 'frame-09'; did you mean 'frame-0"):
         open_run(run.folder).view("frame-09")
+
+
+def test_sheets_are_painted_for_the_lens_as_another_machine_makes_it(run: Run, tmp_path: Path) -> None:
+    """The print has other slopes and another index: a sheet that was painted for the design shows less."""
+    designed = open_run(run.folder)
+    printed = designed.made_by("sla")
+    assert printed.scene.lens.ior == materials()["photopolymer-sla"].ior
+    target = ART["heart"](64)
+    shown = [
+        score(next(printed.decode(lens.encode([target]))), target).psnr_db for lens in (designed, printed)
+    ]  # fmt: skip
+    assert shown[1] > shown[0] + 1
+
+
+def test_no_sheet_is_painted_for_a_machine_that_there_is_not(run: Run, tmp_path: Path) -> None:
+    write_png(tmp_path / "heart.png", ART["heart"](16))
+    arguments = ["encode", run.folder, tmp_path / "heart.png", "-o", tmp_path / "sheet.png", "--machine", "slaa"]
+    done = CliRunner().invoke(app, [str(a) for a in arguments])
+    assert done.exit_code == 2
+    assert done.output == "error: --machine: unknown machine 'slaa'; did you mean 'sla'?\n"
+    assert not (tmp_path / "sheet.png").exists()

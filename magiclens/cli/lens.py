@@ -4,16 +4,27 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from magiclens.cli.common import AsJson, Quiet, RunFolder, Traceback, print_result, reporting
 
+if TYPE_CHECKING:
+    from magiclens.running.open_run import OpenRun
+
 _ViewName = Annotated[
     str | None, typer.Option("--view", metavar="NAME", help="Through which view's eye; the first by default.")
 ]
 _Open = Annotated[bool, typer.Option("--open/--no-open", help="Open the page in a browser.")]
+_MachineName = Annotated[
+    str | None,
+    typer.Option(
+        "--machine",
+        metavar="NAME",
+        help="The lens as this machine makes it of the same mesh.",
+    ),
+]
 _PicturesOut = Annotated[
     Path, typer.Option("--out", "-o", metavar="OUT", help="A PNG, GIF or MP4, or a folder.", show_default=False)
 ]
@@ -26,14 +37,14 @@ def encode_command(
     ],
     out: _PicturesOut,
     view: _ViewName = None,
+    machine: _MachineName = None,
     traceback: Traceback = False,
 ) -> None:
     """Paint the source that shows PICTURES through the universal lens of RUN_DIR."""
     with reporting(traceback):
         from magiclens.running.convert import convert_pictures
-        from magiclens.running.open_run import open_run
 
-        lens = open_run(run_dir)
+        lens = _opened(run_dir, machine)
         px_per_mm = len(lens.view(view).source) / lens.plan.lens.source_size_mm
         typer.echo(convert_pictures(lambda frames: lens.encode(frames, view), pictures, out, px_per_mm))
 
@@ -45,14 +56,14 @@ def decode_command(
     ],
     out: _PicturesOut,
     view: _ViewName = None,
+    machine: _MachineName = None,
     traceback: Traceback = False,
 ) -> None:
     """Show what the eye sees through the lens of RUN_DIR when SOURCES lie below it."""
     with reporting(traceback):
         from magiclens.running.convert import convert_pictures
-        from magiclens.running.open_run import open_run
 
-        lens = open_run(run_dir)
+        lens = _opened(run_dir, machine)
         typer.echo(convert_pictures(lambda frames: lens.decode(frames, view), sources, out))
 
 
@@ -123,3 +134,15 @@ def _present(page: Path, show: bool) -> None:
     typer.echo(page)
     if show:
         typer.launch(page.absolute().as_uri())
+        page = write_view(run_dir, out)
+        typer.echo(page)
+        if show:
+            typer.launch(page.absolute().as_uri())
+
+
+def _opened(run_dir: Path, machine: str | None) -> OpenRun:
+    """The lens of a run folder, as its spec or as another machine makes it."""
+    from magiclens.running.open_run import open_run
+
+    lens = open_run(run_dir)
+    return lens.made_by(machine) if machine else lens

@@ -18,6 +18,8 @@ from magiclens.contract.errors import InputError
 from magiclens.plan.blame import blaming
 from magiclens.plan.compile import Plan, load_plan
 from magiclens.plan.registry import Registry
+from magiclens.profiles.machines import Machine, machines
+from magiclens.profiles.materials import materials
 from magiclens.running.folder import HEIGHTS
 from magiclens.running.manifest import refresh_manifest, source_path
 from magiclens.running.run_files import RunFiles, verified
@@ -38,11 +40,13 @@ class OpenRun:
         plan: The plan of its spec.
         scene: The scene with the sources that the spec gives, not those that an encoder made of them (see
             ``printed_scene``).
+        maker: The machine that makes the lens in place of that of the spec; None for that of the spec, if it names one.
     """
 
     files: RunFiles
     plan: Plan
     scene: Scene
+    maker: Machine | None = None
 
     @property
     def folder(self) -> Path:
@@ -88,15 +92,31 @@ class OpenRun:
         view = self.view(name)
         first = traced_view(self.scene, view)
         if first.name not in self._transports:
-            kept = self.files.transport(first)
+            kept = None if self.maker else self.files.transport(first)
             self._transports[first.name] = kept or transports(replace(self.scene, views=(first,)), self._body)[0]
         return self._transports[first.name].turned(view.quarter_turns - first.quarter_turns)
 
     @cached_property
     def _body(self) -> Solid:
-        from magiclens.simulation.as_made import body_of
+        from magiclens.simulation.as_made import body_made_by, body_of
 
+        if self.maker:
+            return body_made_by(self.solid, self.maker)
         return body_of(self.solid, self.plan.fabrication.machine if self.plan.fabrication else None)
+
+    def made_by(self, name: str) -> OpenRun:
+        """The same mesh as a listed machine makes it, of the material that is usual for that machine.
+
+        Raises:
+            InputError: There is no such machine; the nearest name is proposed.
+        """
+        if name not in machines():
+            raise InputError(unknown("machine", name, machines()), "--machine")
+        profile = machines()[name]
+        material = profile.lens.get("material")
+        ior = materials()[material].ior if material else self.scene.lens.ior
+        scene = replace(self.scene, lens=replace(self.scene.lens, ior=ior))
+        return replace(self, scene=scene, maker=profile.machine())
 
     @cached_property
     def _transports(self) -> dict[str, Transport]:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from magiclens.contract.artifacts import FloatArray, Scene, Solid, View
+from magiclens.contract.errors import InputError
 from magiclens.images import score, write_png
 from magiclens.profiles.machines import Machine, Mill, Printer
 from magiclens.rendering.mitsuba import Mitsuba
@@ -57,15 +58,23 @@ def body_of(solid: Solid, machine: Machine | None) -> Solid:
     return as_printed(solid, machine) if isinstance(machine, Printer) and solid.grid else solid
 
 
+def body_made_by(solid: Solid, machine: Machine) -> Solid:
+    """The body that any machine makes of a solid with a grid: what a printer builds, or what a cutter leaves standing.
+
+    Raises:
+        InputError: The solid is too large for the simulation of the mill.
+    """
+    body = as_milled(solid, machine) if isinstance(machine, Mill) else body_of(solid, machine)
+    if body is None:
+        raise InputError("this lens is too large for the simulation of a mill")
+    return body
+
+
 def rough_pictures(machine: Machine, scene: Scene, solid: Solid) -> list[FloatArray]:
     """The same path-traced by Mitsuba, with the roughness of the machine's surface; nothing if it is not simulated."""
     if solid.grid is None:
         return []
-    if isinstance(machine, Mill):
-        made = as_milled(solid, machine)
-    else:
-        assert isinstance(machine, Printer)
-        made = as_printed(solid, machine)
+    made = as_milled(solid, machine) if isinstance(machine, Mill) else body_of(solid, machine)
     return [] if made is None else Mitsuba(roughness=machine.roughness).render(scene, made)
 
 
