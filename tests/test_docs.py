@@ -90,7 +90,7 @@ def installed(package: Path) -> Path:
 
 def test_tutorial_and_how_tos_have_commands_that_are_run() -> None:
     assert {page.stem for page in WITH_COMMANDS} >= {
-        "tutorial", "print", "mill", "encode-a-message", "add-a-scenario",
+        "tutorial", "print", "coupon", "mill", "encode-a-message", "add-a-scenario",
     }  # fmt: skip
 
 

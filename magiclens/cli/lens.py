@@ -134,10 +134,6 @@ def _present(page: Path, show: bool) -> None:
     typer.echo(page)
     if show:
         typer.launch(page.absolute().as_uri())
-        page = write_view(run_dir, out)
-        typer.echo(page)
-        if show:
-            typer.launch(page.absolute().as_uri())
 
 
 def _opened(run_dir: Path, machine: str | None) -> OpenRun:

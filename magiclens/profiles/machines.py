@@ -9,7 +9,7 @@ from functools import cache
 from types import MappingProxyType
 from typing import Any, ClassVar, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from magiclens.contract.artifacts import FloatArray, Lens
 from magiclens.contract.units import ANGLE, LENGTH, Angle, Length
@@ -99,14 +99,28 @@ class Lacquer(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
 
-    film: Length = Field(gt=0, le=1, description="thickness of the coat while it is liquid")
+    film: Length | None = Field(None, gt=0, le=1, description="thickness of the coat while it is liquid")
+    wavelength: Length | None = Field(
+        None,
+        gt=0,
+        le=50,
+        description="instead of film: the wavelength of which the coat leaves 1/e, as a coupon measures it",
+    )
     viscosity: float = Field(1.0, gt=0, le=1e4, description="Pa s")
     tension: float = Field(0.033, gt=0, le=1, description="surface tension, N/m")
     time: float = Field(10.0, gt=0, le=1e5, description="seconds until it has cured")
 
+    @model_validator(mode="after")
+    def _film_or_wavelength(self) -> Lacquer:
+        if (self.film is None) == (self.wavelength is None):
+            raise ValueError("needs either a film, such as 'film: 5um', or a wavelength, such as 'wavelength: 0.4mm'")
+        return self
+
     @property
     def wavelength_mm(self) -> float:
         """See ``Lacquer``."""
+        if self.film is None:
+            return self.wavelength or 0.0
         film_m = self.film / 1000
         fourth_power: float = self.time * self.tension * film_m**3 / (3 * self.viscosity)
         return 1000 * 2 * math.pi * math.sqrt(math.sqrt(fourth_power))

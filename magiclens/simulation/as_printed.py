@@ -22,17 +22,25 @@ def as_printed(solid: Solid, printer: Printer) -> Solid:
     evens the surface out, see ``LinearProcess``. Undercuts fill with support and are lost. The grid's cells are
     vertical (``eye_mm`` is None), and the solid's sides are part of it.
     """
-    from magiclens.geometry.columns import top_heights
-
-    pixels = _pixels(solid, printer)
-    x, y = (_middles(solid, axis, pixel) for axis, pixel in enumerate(pixels))
-    z = np.nan_to_num(top_heights(solid, x, y[::-1]), nan=0.0)
-    shares = printer.shares
-    layers = np.maximum(layers_of_tops(tops_of(z, printer.layer, printer.slicing, shares), shares), 1)
-    even = printer.linear_process.of(layers * printer.layer, pixels)
+    layers, x, y = in_layers(solid, printer)
+    even = printer.linear_process.of(layers, _pixels(solid, printer))
     # the surface is smooth now: every second pixel says all of it
     every = math.ceil(math.sqrt(even.size / _MOST_POINTS))
-    return solid_from_raster(x[::every], y[::-1][::every], np.ascontiguousarray(even[::every, ::every]))
+    return solid_from_raster(x[::every], y[::every], np.ascontiguousarray(even[::every, ::every]))
+
+
+def in_layers(solid: Solid, printer: Printer) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The top of a solid in layers, before anything evens it out.
+
+    Returns:
+        (rows, columns) heights, mm; (columns,) x, ascending, and (rows,) y, descending, of the columns of pixels, mm.
+    """
+    from magiclens.geometry.columns import top_heights
+
+    x, y = (_middles(solid, axis, pixel) for axis, pixel in enumerate(_pixels(solid, printer)))
+    z = np.nan_to_num(top_heights(solid, x, y[::-1]), nan=0.0)
+    tops = tops_of(z, printer.layer, printer.slicing, printer.shares)
+    return np.maximum(layers_of_tops(tops, printer.shares), 1) * printer.layer, x, y[::-1]
 
 
 def _pixels(solid: Solid, printer: Printer) -> tuple[float, float]:
