@@ -36,6 +36,7 @@ lint:
 # draw the architecture anew, then check the documentation
 docs:
     python docs/draw_architecture.py
+    python docs/draw_optics.py
     pytest -q tests/test_docs.py
 
 # the web site: every page of documentation, and small lenses to touch, in out/gallery

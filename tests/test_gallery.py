@@ -62,8 +62,8 @@ name: x   # <comment>
 
 ## Part two
 
-![Where the picture differs](run:first/renders/tracer/rotation-000.png "A caption")
-![A ray](drawing:refraction)
+![Where the picture differs](images/runs/first/renders/tracer/rotation-000.png "A caption")
+![A ray](images/drawings/refraction.svg)
 """
 SMALL = [
     "lens={size: 24mm, facets: 6, microfacets: 6, thickness: 30mm}",
@@ -223,8 +223,8 @@ def test_mistakes_in_the_list_are_named(build: Build, tmp_path: Path, old: str, 
     ("old", "new", "message"),
     [
         ("(toy.yaml)", "(tou.yaml)", "page.md:3: broken link: there is no file"),
-        ("drawing:refraction", "drawing:refractoin", "unknown drawing 'refractoin'; did you mean 'refraction'?"),
-        ("run:first/", "run:frist/", "unknown lens 'frist'; did you mean 'first'?"),
+        ("refraction.svg", "refractoin.svg", "unknown drawing 'refractoin'; did you mean 'refraction'?"),
+        ("runs/first/", "runs/frist/", "broken picture: there is no file"),
         ("rotation-000.png", "rotation-00.png", "broken picture: there is no file"),
     ],
 )
@@ -260,9 +260,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
         {"name": "worm", "spec": "specs/universal-animation.yaml", "title": "Worm", "caption": "Film.", "quick": WORM},
     ]
     (folder / "page.md").write_text(
-        PAGE.replace("run:first/renders/tracer/rotation-000.png", "run:worm/figures/error.png").replace(
-            "toy.yaml", "list.yaml"
-        )
+        PAGE.replace("first/renders/tracer/rotation-000.png", "worm/figures/error.png").replace("toy.yaml", "list.yaml")
     )
     docs = [{"title": "Start here", "pages": ["page.md"]}]
     whole = {"hero": "rotating", "lead": "Two lenses.", "entries": entries, "docs": docs}

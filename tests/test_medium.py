@@ -25,6 +25,7 @@ SPEC = """\
 scenario: {type: single, source: {type: circles, radius: [0.5mm, 2mm]}, target: {art: panda}}
 lens: {size: 18mm, facets: 6, microfacets: 6, thickness: 20mm}
 viewer: {distance: 300mm}
+report: {analyses: []}
 pipeline:
   annealer: {type: heat-bath, sweeps: 5}
   exporters: [{type: monitor, ppi: 300}]
@@ -34,6 +35,7 @@ UNIVERSAL = """\
 scenario: {type: universal-animation, frames: {art: worm, length: 1}, camouflage: {type: noise}}
 lens: {size: 18mm, facets: 6, microfacets: 10, thickness: 30mm}
 viewer: {distance: 300mm}
+report: {analyses: []}
 pipeline:
   matcher: {reach: 15%}
   encoder: {iterations: 4}

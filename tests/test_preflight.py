@@ -37,6 +37,7 @@ scenario: {type: single, source: {type: circles, radius: [0.3mm, 1.2mm]}, target
 lens: {size: 24mm, facets: 8, microfacets: 8, thickness: 20mm}
 viewer: {distance: 300mm}
 fabrication: {machine: polyjet-600x300}
+report: {analyses: [as-made]}
 pipeline:
   annealer: {type: heat-bath, sweeps: 5}
   exporters: [{type: stl}, {type: 3mf}, {type: ply}, {type: obj}, {type: glb}]

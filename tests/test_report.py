@@ -236,11 +236,15 @@ def test_colour_views_stay_coloured(written: Callable[[RunResult], str], tmp_pat
     assert middles == [(0, 255, 0)] * 3
 
 
-def test_a_run_writes_its_report(write_spec: SpecWriter, registry: Registry, tmp_path: Path) -> None:
+def test_a_run_writes_its_report(
+    write_spec: SpecWriter, registry: Registry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("magiclens.analysis.tolerances.RESOLUTION", 16)
+    monkeypatch.setattr("magiclens.analysis.tolerances._MAP_RESOLUTION", 8)
     registry.register(SimpleNamespace(mlens_analyses=builtin.mlens_analyses), Plugin("figures", "magiclens", "1"))
     run = run_plan(load_plan(write_spec(), (), registry), tmp_path / "out")
     paths = [artifact["path"] for artifact in run.manifest["artifacts"]]
-    assert {"report.html", *(f"figures/{name}.png" for name in FIGURES)} <= set(paths)
+    assert {"report.html", *(f"figures/{name}.png" for name in (*FIGURES, "tolerances", "shift-map"))} <= set(paths)
 
 
 def overlaps_of(lens: Lens, assignment: Assignment, side: int) -> IntArray:

@@ -143,8 +143,6 @@ class _Renderer:
         name, hash_, anchor = target.partition("#")
         found = normal_path(self._source.parent / unquote(name))
         page = self._library.pages.get(found)
-        if page is None and name.endswith(".html"):  # a page that is generated, such as the reference
-            return target
         if page is None:
             page = self._copied(found, line)
         return f"{self._away(page)}{hash_}{anchor}"
@@ -159,30 +157,36 @@ class _Renderer:
         return path
 
     def _picture(self, token: Token, line: int) -> str:
-        """A drawing (``drawing:name``), a picture of a run (``run:lens/path``) or a file; its title is the caption."""
-        target, caption = str(token.attrs["src"]), str(token.attrs.get("title", ""))
-        kind, _, name = target.rpartition(":")
-        if kind == "drawing":
-            if name not in DRAWINGS:
-                raise InputError(unknown("drawing", name, DRAWINGS), f"{self._source}:{line}")
-            return _figure(DRAWINGS[name](token.content), caption)
-        found = self._of_run(name, line) if kind == "run" else normal_path(self._source.parent / unquote(target))
+        """A picture file, whose title is the caption.
+
+        The page can be read without the site, so the file is there. Instead of one in a folder ``drawings`` there is
+        the drawing of this name, in the site's colours, and instead of one in ``runs/<lens>`` the file of this name
+        that the gallery's own run of the lens has written.
+        """
+        caption = str(token.attrs.get("title", ""))
+        found = normal_path(self._source.parent / unquote(str(token.attrs["src"])))
+        if found.parent.name == "drawings":
+            if found.stem not in DRAWINGS:
+                raise InputError(unknown("drawing", found.stem, DRAWINGS), f"{self._source}:{line}")
+            return _figure(DRAWINGS[found.stem](token.content), caption)
+        group, found = self._of_run(found)
         if not found.is_file():
             raise InputError(f"broken picture: {missing_file(found)}", f"{self._source}:{line}")
         if found.suffix == ".svg":
             path = self._away(self._copied(found, line))
             return _figure(f'<img src="{escape(path)}" alt="{escape(token.content)}" loading="lazy">', caption)
-        group = name.split("/")[0] if kind == "run" else DOCS_FOLDER
         picture = self._library.album.shrunk(found, group, _PICTURE_WIDTH, token.content)
         size = f'width="{picture.width}" height="{picture.height}"'
         image = f'<img src="{escape(self._away(picture.path))}" {size} alt="{escape(token.content)}" loading="lazy">'
         return _figure(image, caption)
 
-    def _of_run(self, name: str, line: int) -> Path:
-        lens, _, path = name.partition("/")
-        if lens not in self._library.runs:
-            raise InputError(unknown("lens", lens, self._library.runs), f"{self._source}:{line}")
-        return self._library.runs[lens] / path
+    def _of_run(self, found: Path) -> tuple[str, Path]:
+        """The folder in which the site keeps a picture, and the picture: the file itself, or that of a run."""
+        _, runs, path = found.as_posix().rpartition("/runs/")
+        lens, _, name = path.partition("/")
+        if not runs or lens not in self._library.runs:
+            return DOCS_FOLDER, found
+        return lens, self._library.runs[lens] / name
 
     def _away(self, path: str) -> str:
         """A path of the site, relative to this page."""
