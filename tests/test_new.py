@@ -113,7 +113,10 @@ def test_coloured_pictures_get_coloured_discs(save: Saver, tmp_path: Path) -> No
     picture[20:80, 20:80] = (0.8, 0.05, 0.05)
     new_spec("single", [save(picture)], tmp_path / "my.yaml")
     plan: Any = planned(tmp_path / "my.yaml")
-    assert plan.scenario.source.colours == "coloured"
+    inks = plan.scenario.source.colours
+    assert "#ffffff" in inks
+    assert any(bytes.fromhex(ink[1:])[0] > 2 * max(bytes.fromhex(ink[3:])) + 100 for ink in inks), "no red"
+    assert not plan.scenario.source.grey
 
 
 def test_several_pictures_in_one_source_get_a_wider_window(panda: Path, tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ class Request:
         pictures: What the lens shall show: paths as the spec writes them, and what was found in each picture.
         source: Path of the user's own source; None for discs.
         questions: The user's questions, one per picture or none.
+        inks: What the pictures' own colours are, for discs; nothing for black and white.
         machine: Name of the machine that makes the lens; None if it is left open.
         size_mm: Side of the lens.
     """
@@ -26,17 +27,13 @@ class Request:
     pictures: Sequence[tuple[str, Assessment]]
     source: str | None = None
     questions: Sequence[str] = ()
+    inks: Sequence[str] = ()
     machine: str | None = None
     size_mm: float = 100.0
 
     def wider(self, factor: float) -> str:
         """So many times the lens's side, as a spec writes it."""
         return LENGTH.text(round(factor * self.size_mm, 6))
-
-    @property
-    def coloured(self) -> bool:
-        """Whether any picture has colours."""
-        return any(assessment.coloured for _, assessment in self.pictures)
 
     @property
     def fine(self) -> list[str]:
@@ -92,10 +89,14 @@ def _source(request: Request, size: str = "", seed: int = 7) -> list[str]:
     if request.source:
         return ["# Print this; the more black and white it has everywhere, the better the lens.",
                 f"source: {{type: image, path: {request.source}{sized}}}"]  # fmt: skip
-    colours = ", colours: coloured" if request.coloured else ""
-    why = "in colours, as a picture has some" if request.coloured else "black and white"
-    return [f"# Random discs, {why}: something of every shape is near every facet. Or {{type: image, path: dots.png}}.",
-            f"source: {{type: circles, seed: {seed}{colours}{sized}}}"]  # fmt: skip
+    why = "in the pictures' own colours" if request.inks else "black and white"
+    comment = (
+        f"# Random discs, {why}: something of every shape is near every facet. Or {{type: image, path: dots.png}}."
+    )
+    if request.inks:
+        inks = ", ".join(map(repr, request.inks))
+        return [comment, f"source: {{type: circles, seed: {seed}{sized},", f"         colours: [{inks}]}}"]
+    return [comment, f"source: {{type: circles, seed: {seed}{sized}}}"]
 
 
 def _one_target(request: Request, size: str = "") -> list[str]:
@@ -123,8 +124,9 @@ def _rotating(request: Request) -> list[str]:
 def _multi_pair(request: Request) -> list[str]:
     lines = ["# Every picture has a source of its own, made of discs.", "pairs:"]
     for k, (path, assessment) in enumerate(request.pictures):
-        source = _source(request, seed=7 + k)[1].removeprefix("source: ")
-        lines += [f"  {_reasons(assessment)}", f"  - {{source: {source}, target: {_target(path, assessment)}}}"]
+        first, *more = _source(request, seed=7 + k)[1:]
+        lines += [f"  {_reasons(assessment)}", f"  - {first}", *(f"    {line}" for line in more)]
+        lines += [f"    target: {_target(path, assessment)}"]
     return lines
 
 

@@ -18,6 +18,7 @@ from magiclens.contract.units import LENGTH
 from magiclens.images import read_image
 from magiclens.new.assess import assess
 from magiclens.new.layouts import LAYOUTS, Request
+from magiclens.new.palette import inks_for
 from magiclens.profiles.machines import machines, refused_machines
 
 _COMMENT_WIDTH = 110
@@ -59,8 +60,9 @@ def new_spec(
     if source:
         read_image(source)
     assessed = tuple((files.path(path), assess(path)) for path in pictures)
-    machine, size_mm = _checked(*made)
-    request = Request(assessed, files.path(source) if source else None, tuple(questions), machine, size_mm)
+    inks = inks_for([found for _, found in assessed])
+    below = files.path(source) if source else None
+    request = Request(assessed, below, tuple(questions), inks, *_checked(*made))
     text = _text(scenario, request, [path.name for path in pictures], out.name)
     _write(out, text)
     return text
