@@ -17,8 +17,8 @@ from coupons import Truth, made_coupon, path_traced, traced, write_photograph
 from magiclens.cli import app
 from magiclens.contract.errors import InputError
 from magiclens.coupon import fit
-from magiclens.coupon.fit import Estimate, Reading, read_coupon
-from magiclens.coupon.photograph import read_photograph
+from magiclens.coupon.fit import Estimate, Reading
+from magiclens.coupon.photograph import _stated_focal, read_photograph
 from magiclens.coupon.shape import coupon_solid, printing_minutes
 from magiclens.coupon.sheet import SHEET_PX_PER_MM, marker_corners, sheet_picture
 from magiclens.coupon.write import coupon_of, printed_raster, printer_called
@@ -43,16 +43,18 @@ def test_process_and_index_are_read_from_path_traced_photographs(name: str, tmp_
     """The reader knows layers and pixels of the printer; process, index, camera and exposure it has to find."""
     truth, photo = TRUTHS[name], tmp_path / "photo.jpg"
     write_photograph(path_traced(truth), truth, photo)
-    found = read_coupon(printed_raster(printer_called("sla")), read_photograph(photo))
-    assert found.spread.value == pytest.approx(truth.spread, rel=0.1)
-    assert found.ior.value == pytest.approx(truth.ior, abs=0.005)
+    assert mlens("coupon", "--machine", "sla", "--out", tmp_path / "coupon").exit_code == 0
+    done = mlens("coupon", "read", photo, "--coupon", tmp_path / "coupon", "--json")
+    assert done.exit_code == 0, done.output
+    found = json.loads(done.output)
+    assert found["spread"]["value"] == pytest.approx(truth.spread, rel=0.1)
+    assert found["ior"]["value"] == pytest.approx(truth.ior, abs=0.005)
     if truth.levelling:
-        assert found.levelling is not None
-        assert found.levelling.value == pytest.approx(truth.levelling, rel=0.1)
+        assert found["levelling"]["value"] == pytest.approx(truth.levelling, rel=0.1)
     else:
-        assert found.levelling is None
-    assert found.distance.value == pytest.approx(truth.eye[2], abs=3)
-    assert found.misfit < 0.12
+        assert found["levelling"] is None
+    assert found["distance"]["value"] == pytest.approx(truth.eye[2], rel=0.02)
+    assert found["misfit"] < 0.12
 
 
 @pytest.mark.parametrize("name", [name for name, profile in machines().items() if profile.model is Printer])
@@ -98,7 +100,7 @@ def test_a_photograph_by_the_built_in_tracer_is_understood(tmp_path: Path) -> No
     photograph = read_photograph(tmp_path / "photo.jpg")
     assert len(photograph.points_px) == 64
     start = fit._beginning(photograph)
-    assert (start.camera_x, start.camera_y, start.camera_z) == pytest.approx(truth.eye, abs=3)
+    assert start.distance * np.array([start.slant_x, start.slant_y, 1]) == pytest.approx(truth.eye, abs=3)
     x, y, turn = truth.lying
     start = start._replace(shift_x=x, shift_y=y, turn=math.radians(turn), gap=0.05)
     fitting = fit._Fit(printed_raster(printer_called("printing")), photograph, 2, start)
@@ -169,6 +171,16 @@ def test_photographs_of_something_else_are_refused(tmp_path: Path) -> None:
     sheet.resize((520, 462)).save(tmp_path / "far.png")
     with pytest.raises(InputError, match=r"only 5\.8 pixels per mm"):
         read_photograph(tmp_path / "far.png")
+
+
+def test_the_focal_length_is_taken_from_the_file(tmp_path: Path) -> None:
+    """Files state it for film of 36 x 24 mm, by the diagonal."""
+    exif = Image.Exif()
+    exif.get_ifd(0x8769)[0xA405] = 28
+    Image.new("L", (360, 240)).save(tmp_path / "photo.jpg", exif=exif)
+    assert _stated_focal(tmp_path / "photo.jpg", (240, 360)) == pytest.approx(280)
+    Image.new("L", (360, 240)).save(tmp_path / "silent.jpg")
+    assert _stated_focal(tmp_path / "silent.jpg", (240, 360)) is None
 
 
 def test_the_made_coupon_is_a_closed_body() -> None:
