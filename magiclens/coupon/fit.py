@@ -138,9 +138,10 @@ def _beginning(photograph: CouponPhotograph) -> Unknowns:
         return np.append((found - photograph.points_px).ravel(), stated)
 
     first = np.array([0, 0, _turn(photograph), 0, 0, focal / size, math.log(focal)])
-    p = least_squares(missed, first, x_scale=[0.01, 0.01, 0.01, 1, 1, 1, 0.01]).x.tolist()
-    camera = *p[:3], p[3] / p[5], p[4] / p[5], p[5], p[6] - math.log(p[5])
-    return Unknowns(0.006, 0.0, 1.5, 0.02, 0.0, 0.0, 0.0, *camera, 0.0, 0.7)
+    found = least_squares(missed, first, x_scale=[0.01, 0.01, 0.01, 1, 1, 1, 0.01]).x
+    lean_x, lean_y, lean_z, x, y, z, log_focal = (float(value) for value in found)
+    camera = (x / z, y / z, z, log_focal - math.log(z), 0.0, 0.7)
+    return Unknowns(0.006, 0.0, 1.5, 0.02, 0.0, 0.0, 0.0, lean_x, lean_y, lean_z, *camera)
 
 
 def _turn(photograph: CouponPhotograph) -> float:
