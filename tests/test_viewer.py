@@ -236,6 +236,29 @@ def test_the_command_says_what_is_wrong(folders: dict[str, Path], tmp_path: Path
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["bare", "manifest.json", "spec.yaml"]
 
 
+def test_values_that_the_lens_bears_are_marked(folders: dict[str, Path], browser: Browser, tmp_path: Path) -> None:
+    """Where the run has measured tolerances; elsewhere nothing is."""
+    copy = tmp_path / "run"
+    shutil.copytree(folders["rotating"], copy)
+    manifest = json.loads((copy / "manifest.json").read_text(encoding="utf-8"))
+    limits = {"shift_x_mm": 1.0, "shift_y_mm": 1.0, "rotation_deg": 3.0, "gap_mm": 0.7}
+    limits |= {"eye_x_mm": 4.0, "eye_y_mm": 4.0, "eye_nearer_mm": 20.0, "eye_farther_mm": 30.0}
+    manifest["metrics"] |= {f"tolerance_{name}": value for name, value in limits.items()}
+    (copy / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+    for folder, marked in ((copy, "1110101"), (folders["rotating"], "0000000")):
+        page = tmp_path / "view.html"
+        page.write_text(viewer_page(folder), encoding="utf-8")
+        tab = browser.new_page(reduced_motion="reduce")
+        tab.goto(page.as_uri())
+        tab.evaluate("magiclens.ready")
+        tab.evaluate("magiclens.setPose({x: 0.5, y: -1, angle: -2, lift: 1, eyeX: 4, eyeY: 5, eyeDistance: 425})")
+        tab.evaluate("magiclens.settled()")
+        outputs = "[...document.querySelectorAll('[data-part=sliders] output')]"
+        found = tab.evaluate(f"{outputs}.map((output) => Number(output.classList.contains('mlens-good')))")
+        assert "".join(map(str, found)) == marked
+        tab.close()
+
+
 @pytest.mark.parametrize("name", list(LENSES))
 def test_in_its_place_the_lens_shows_what_the_tracer_saw(visit: Any, folders: dict[str, Path], name: str) -> None:
     tab = visit(name)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -59,9 +60,21 @@ def viewer_data(lens: OpenRun) -> dict[str, Any]:
         "distance": float(np.mean([view.eye_mm[2] for view in views])) - lens.plan.lens.thickness_mm,
         "sources": [picture_uri_within(lens.folder / path, room // len(sources)) for path in sources],
         "film": film,
+        "bears": _bears(lens.files.manifest["metrics"]),
         "dropped": len(lens.scene.views) - len(views),
         "views": [_view_data(view, sources, None if film else lens.folder) for view in views],
     }
+
+
+def _bears(metrics: Mapping[str, float | None]) -> dict[str, tuple[float, float]]:
+    """How far each value of the pose may be from its home, by its name in the script; nothing if it is not known."""
+    names = {"x": "shift_x_mm", "y": "shift_y_mm", "angle": "rotation_deg", "eyeX": "eye_x_mm", "eyeY": "eye_y_mm"}
+    may = {name: metrics.get(f"tolerance_{tolerance}") for name, tolerance in names.items()}
+    found = {name: (-value, value) for name, value in may.items() if value is not None}
+    lift, near, far = (metrics.get(f"tolerance_{name}_mm") for name in ("gap", "eye_nearer", "eye_farther"))
+    if lift is not None and near is not None and far is not None:
+        found |= {"lift": (0.0, lift), "eyeDistance": (-near, far)}
+    return found
 
 
 def finest_step_mm(lens: Lens) -> float:

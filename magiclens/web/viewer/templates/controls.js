@@ -1,6 +1,7 @@
 // Sliders, buttons, tabs and the list of views.
 
-function slider(into, label, low, high, step, get, set, text) {
+// ``good`` says whether a value is within the tolerances of the lens.
+function slider(into, label, low, high, step, get, set, text, good = () => false) {
   const box = document.createElement("label"), input = document.createElement("input"), output = document.createElement("output");
   Object.assign(input, { type: "range", min: low, max: high, step, ariaLabel: label });
   box.append(label, output, input);
@@ -8,16 +9,23 @@ function slider(into, label, low, high, step, get, set, text) {
   input.addEventListener("input", () => set(Number(input.value)));
   const show = () => {
     input.value = get();
-    output.textContent = text(get());
-    input.setAttribute("aria-valuetext", text(get()));
+    output.textContent = good() ? `${text(get())} \u2713` : text(get());
+    output.classList.toggle("mlens-good", good());
+    input.setAttribute("aria-valuetext", good() ? `${text(get())}, within tolerance` : text(get()));
   };
   show();
   return { show };
 }
 
 const inMm = (value) => `${value.toFixed(1)} mm`, inDegrees = (value) => `${value.toFixed(0)}°`;
+// Whether a value of the pose is so near its home that the picture loses less than 3 dB by it; never if that is not known.
+function within(key) {
+  const limits = data.bears[key], by = pose[key] - homePose(current)[key], away = key === "angle" ? folded(by) : by;
+  return limits !== undefined && limits[0] <= away && away <= limits[1];
+}
+
 const ofPose = (key, label, low, high, text = inMm) =>
-  slider(part("sliders"), label, low, high, 0.5, () => (key === "angle" ? folded(pose.angle) : pose[key]), (value) => setPose({ [key]: value }), text);
+  slider(part("sliders"), label, low, high, 0.5, () => (key === "angle" ? folded(pose.angle) : pose[key]), (value) => setPose({ [key]: value }), text, () => within(key));
 const SLIDERS = [
   ofPose("x", "Lens right", -lens.size, 1.45 * lens.size), ofPose("y", "Lens up", -1.4 * lens.size, lens.size),
   ofPose("angle", "Lens turned left", -180, 180, inDegrees), ofPose("lift", "Lens lifted", 0, 0.6 * lens.size),
