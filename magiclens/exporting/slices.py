@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from zipfile import ZipFile
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from magiclens.contract.artifacts import Scene, Solid
 from magiclens.contract.errors import InputError
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 _MOST_PIXELS = 10**8
 """Most pixels of a layer; more need more memory than a desktop has."""
 _MOST_LAYERS = 10**5
+_LEAST_LAYER_MM = 1e-6
 """Most layers; their names have five digits."""
 
 
@@ -35,7 +36,7 @@ class LayerStack(Exporter):
 
     dpi_x: float = Field(600.0, ge=10, le=10000, description="pixels per inch along x")
     dpi_y: float = Field(300.0, ge=10, le=10000, description="pixels per inch along y")
-    layer: Length = Field("27um", validate_default=True, ge=0.0001, le=1000, description="height of a layer")
+    layer: Length = Field("27um", validate_default=True, gt=0, le=1000, description="height of a layer")
     slicing: Slicing = Field(
         "plain", description="how heights become layers: plain rounding, or error diffusion, which leaves no stairs"
     )
@@ -91,6 +92,13 @@ class Slices(LayerStack):
 
     type: ClassVar[str] = "slices"
     suffix: ClassVar[str] = ".slices.zip"
+
+    @field_validator("layer")
+    @classmethod
+    def _can_be_counted(cls, value: float) -> float:
+        if value < _LEAST_LAYER_MM:
+            raise ValueError(f"must be at least {LENGTH.text(_LEAST_LAYER_MM)}, got {LENGTH.text(value)}")
+        return value
 
     def export(self, scene: Scene, solid: Solid, path: Path) -> None:
         """Write the archive layer by layer. Raises InputError if the stack would be too large.

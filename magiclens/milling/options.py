@@ -21,7 +21,7 @@ Speed = Annotated[
 """A speed: text such as ``800mm/min`` or ``15mm/s``; a float in mm per minute inside."""
 
 
-_Side = Annotated[Length, Field(ge=1, le=1e5)]
+_Side = Annotated[Length, Field(ge=0.01, le=1e5)]
 
 
 class MillingOptions(MillingExporter):

@@ -199,9 +199,9 @@ def _looking(plan: Plan, seen: _Seen) -> Iterator[Need]:
     encoder = plan.encoder and plan.encoder.stage
     if plan.encoder or plan.spec.pipeline.rematch:
         pixels = float(max(LEAST_RESOLUTION, plan.lens.facets) ** 2)
-        solver = 4e-7 * encoder.iterations * seen.views if isinstance(encoder, LeastSquaresEncoder) else 0.0
+        solver = 3e-7 * encoder.iterations * seen.views if isinstance(encoder, LeastSquaresEncoder) else 0.0
         yield Need(
-            "matrices", 900 * pixels * seen.eyes, (5e-5 * seen.eyes + 30 * solver) * pixels,
+            "matrices", 900 * pixels * seen.eyes, (2e-5 * seen.eyes + solver) * pixels,
             ("pipeline.encoder.iterations", "lens.facets"), "fewer facets or iterations",
         )  # fmt: skip
 

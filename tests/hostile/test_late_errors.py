@@ -54,7 +54,7 @@ def test_what_names_a_file_already_is_not_changed(write_spec: SpecWriter, tmp_pa
 @pytest.mark.tools
 def test_a_facet_that_reaches_no_patch_names_the_slope_limit(tmp_path: Path) -> None:
     spec = Path(__file__).parents[2] / "specs" / "single.yaml"
-    settings = ["lens.facets=4", "lens.microfacets=4", "lens.max_slope=0.001deg"]
+    settings = ["lens.facets=4", "lens.microfacets=4", "lens.max_slope=0.1deg"]
     with pytest.raises(InputError) as raised:
         run_plan(load_plan(spec, settings), tmp_path / "out")
     assert str(raised.value).startswith(f"--set {settings[-1]}: lens.max_slope: facet (row 0, column 0) reaches")
