@@ -153,13 +153,14 @@ def errands(scene: Scene, folder: Path) -> list[Errand]:
     bodies = [name for name in beside if name not in {*jig, *screen, *sheet}]
     sources = sheet or sorted(path.relative_to(folder).as_posix() for path in folder.glob("sources/*.png"))
     size = "at 100 %, without fitting to the page" if sheet else f"exactly {lens.source_size_mm:g} mm wide"
+    many = f"; {len(sources)} in all" if len(sources) > 1 else ""
     x, y, z = view.eye_mm
     aside = f", {x:+.0f} mm to the right and {y:+.0f} mm up" if abs(x) + abs(y) > 0.5 else ""
     eye = f"with one eye, {z - lens.thickness_mm:.0f} mm above the lens{aside}"
     found = [
-        Errand("Check it", [n for n in ("preflight.html",) if (folder / n).is_file()], "is it fit to be made?"),
+        Errand("Check it", [n for n in ("preflight.html",) if (folder / n).is_file()], "whether it is fit to be made"),
         Errand("Have the lens made", bodies, f"send one of these to the maker; it is {lens.size_mm:g} mm wide, in mm"),
-        Errand("Print the sheet", sources[:_MOST_SOURCES], f"{size}; {len(sources)} in all"),
+        Errand("Print the sheet", sources[:_MOST_SOURCES], f"{size}{many}"),
         Errand("Print the jig", jig, "in any plastic; it holds sheet, lens and eye in place"),
         Errand("Or show it on a screen", screen, "pixel for pixel"),
     ]
