@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 import magiclens
+from lenses import FEW, SMALL, SPECS
 from magiclens.kernels.cache_folder import cache_folder
 
 PACKAGE = Path(magiclens.__file__).parent
@@ -72,3 +73,23 @@ def test_a_folder_that_cannot_be_made_stops_nothing(tmp_path: Path) -> None:
     command = [sys.executable, str(tmp_path / "kernel.py")]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
     assert done.stdout == "5\n"
+
+
+@pytest.mark.sweep
+def test_bytes_do_not_depend_on_what_was_compiled_before(tmp_path: Path) -> None:
+    """What another spec needed first is compiled for other types, and read from the cache instead of being fresh."""
+
+    def run(spec: str, kernels: str) -> Path:
+        out = tmp_path / f"{spec}-{kernels}"
+        small = [part for override in (*FEW, *SMALL[spec]) for part in ("--set", override)]
+        command = [sys.executable, "-m", "magiclens", "run", f"{SPECS / spec}.yaml", "--no-cache", "--out", str(out)]
+        surroundings = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / kernels)}
+        subprocess.run([*command, *small], check=True, env=surroundings, capture_output=True)
+        return out
+
+    fresh = run("single", "fresh")
+    for other in ("multi-view", "rotating-codesign", "printed-single"):
+        run(other, "used")
+    later = run("single", "used")
+    for name in ("heights.npz", "lens.stl", "renders/tracer/single.png"):
+        assert (fresh / name).read_bytes() == (later / name).read_bytes()
