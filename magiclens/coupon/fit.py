@@ -17,15 +17,13 @@ from magiclens.coupon.shape import DEPTH_MM, WIDTH_MM, off_borders
 
 _PROCESS = ("variance", "fourth")
 _BODY = ("ior", "gap", "shift_x", "shift_y", "turn")
-_CAMERA = ("lean_x", "lean_y", "lean_z", "slant_x", "slant_y", "distance", "log_scale", "distortion", "blur_px")
+_CAMERA = ("lean_x", "lean_y", "lean_z", "camera_x", "camera_y", "camera_z", "log_focal", "distortion", "blur_px")
 _STEPS = {
-    "variance": 1.5e-3, "fourth": 6e-3, "ior": 6e-3, "gap": 0.015, "shift_x": 0.015, "shift_y": 0.015, "turn": 6e-4,
-    "lean_x": 3e-4, "lean_y": 3e-4, "lean_z": 3e-4, "slant_x": 6e-4, "slant_y": 6e-4, "distance": 6.0,
-    "log_scale": 6e-4, "distortion": 0.03, "blur_px": 0.1,
+    "variance": 5e-4, "fourth": 2e-3, "ior": 2e-3, "gap": 5e-3, "shift_x": 5e-3, "shift_y": 5e-3, "turn": 2e-4,
+    "lean_x": 1e-4, "lean_y": 1e-4, "lean_z": 1e-4, "camera_x": 0.05, "camera_y": 0.05, "camera_z": 0.05,
+    "log_focal": 2e-4, "distortion": 1e-3, "blur_px": 0.05,
 }  # fmt: skip
-"""Steps of the numerical derivatives: changes that move what is seen by some tenth of a pixel.
-
-With shorter ones, what is wrong with a pixel of few rays would be large beside the change, and would bias the fit."""
+"""Steps of the numerical derivatives: changes that move what is seen by about a tenth of a pixel."""
 _BOUNDS = {"variance": (0.0, 0.25), "fourth": (0.0, 40.0), "ior": (1.3, 1.8), "gap": (0.0, 1.0), "blur_px": (0.1, 6.0)}
 _RAYS_MM = 0.035
 """Largest distance of rays where they meet the coupon: eleven to the finest wave."""
@@ -53,7 +51,7 @@ class Reading:
         levelling: Wavelength of which a coat left 1/e, mm; None if no coat is seen.
         ior: The index of refraction.
         gap: Air below the coupon, mm.
-        distance: From the sheet to the camera, mm.
+        distance: From the sheet to the camera, mm, roughly: it hardly changes what is seen.
         misfit: Root mean square of what is left unexplained, as a share of the sheet's contrast.
     """
 
@@ -61,7 +59,7 @@ class Reading:
     levelling: Estimate | None
     ior: Estimate
     gap: Estimate
-    distance: Estimate
+    distance: float
     misfit: float
 
     def spec(self, machine: str) -> dict[str, Any]:
@@ -74,11 +72,11 @@ class Reading:
     def as_text(self, machine: str) -> str:
         """The numbers with their standard errors, and the lines of a spec."""
         rows = [("blur (sigma), mm", self.spread), ("levelling wavelength, mm", self.levelling),
-                ("index of refraction", self.ior), ("air below the coupon, mm", self.gap),
-                ("distance of the camera, mm", self.distance)]  # fmt: skip
+                ("index of refraction", self.ior), ("air below the coupon, mm", self.gap)]  # fmt: skip
         shown = [f"{name:<30}{f'{e.value:.4f} +- {e.error:.4f}' if e else 'none'}" for name, e in rows]
         made, lens = self.spec(machine).values()
         inside = ", ".join(f"{key}: {_flow(value)}" for key, value in made.items())
+        shown.append(f"{'distance of the camera, mm':<30}{self.distance:.0f}")
         left = f"{'unexplained':<30}{self.misfit:.1%} of the contrast"
         return "\n".join([*shown, left, "", "In a spec:", f"fabrication: {{{inside}}}", f"lens: {_flow(lens)}"])
 
@@ -138,10 +136,9 @@ def _beginning(photograph: CouponPhotograph) -> Unknowns:
         return np.append((found - photograph.points_px).ravel(), stated)
 
     first = np.array([0, 0, _turn(photograph), 0, 0, focal / size, math.log(focal)])
-    found = least_squares(missed, first, x_scale=[0.01, 0.01, 0.01, 1, 1, 1, 0.01]).x
-    lean_x, lean_y, lean_z, x, y, z, log_focal = (float(value) for value in found)
-    camera = (x / z, y / z, z, log_focal - math.log(z), 0.0, 0.7)
-    return Unknowns(0.006, 0.0, 1.5, 0.02, 0.0, 0.0, 0.0, lean_x, lean_y, lean_z, *camera)
+    p = least_squares(missed, first, x_scale=[0.01, 0.01, 0.01, 1, 1, 1, 0.01]).x
+    lean = p[0], p[1], p[2]
+    return Unknowns(0.006, 0.0, 1.5, 0.02, 0, 0, 0, *lean, p[3], p[4], p[5], p[6], 0.0, 0.7)
 
 
 def _turn(photograph: CouponPhotograph) -> float:
@@ -155,7 +152,7 @@ class _Fit:
     """Compares a photograph with the model."""
 
     def __init__(self, raster: LayeredTop, photograph: CouponPhotograph, step: int, at: Unknowns):
-        apart = math.exp(-at.log_scale)
+        apart = at.camera_z / math.exp(at.log_focal)
         # coarse pixels make do with rays that lie as far apart as fine pixels
         rays = max(math.ceil(apart / _RAYS_MM), 1) if step == 1 else step
         self._model = CouponModel(raster, photograph, step, rays)
@@ -221,7 +218,7 @@ class _Fit:
             Estimate(spread, errors["variance"] / (2 * max(spread, 1e-3))),
             Estimate(levelling, errors["fourth"] / (4 * levelling**3)) if at.fourth else None,
             Estimate(at.ior, errors["ior"]), Estimate(at.gap, errors["gap"]),
-            Estimate(at.distance, errors["distance"]), self.misfit(at),
+            at.camera_z, self.misfit(at),
         )  # fmt: skip
 
     def _errors(self, at: Unknowns, names: tuple[str, ...]) -> dict[str, float]:
@@ -247,7 +244,7 @@ def _unexplained(shown: FloatArray, light: FloatArray, part: BoolArray) -> Float
 
 def _step(at: Unknowns, name: str) -> float:
     # the steps of what spans decades grow with it
-    return _STEPS[name] + (0.03 * getattr(at, name) if name in _PROCESS else 0.0)
+    return _STEPS[name] + (0.01 * getattr(at, name) if name in _PROCESS else 0.0)
 
 
 def _moved(at: Unknowns, name: str) -> Unknowns:

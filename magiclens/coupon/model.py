@@ -23,11 +23,9 @@ class Unknowns(NamedTuple):
     """Everything that a photograph depends on.
 
     ``variance`` is the square of the process's spread, mm^2, and ``fourth`` the fourth power of its levelling
-    wavelength, mm^4: what is seen depends on these smoothly, down to 0. ``shift_*``, ``turn`` and ``gap`` say how the
-    coupon lies. ``lean_*`` are the camera's turn, a rotation vector in radians. It is ``distance`` mm above the sheet,
-    and beside its middle by the shares ``slant_*`` of that. ``log_scale`` is the logarithm of its focal length in
-    pixels over the distance, so that the distance alone changes nothing but the perspective, which is little.
-    ``blur_px`` is the camera's own blur.
+    wavelength, mm^4: what is seen depends on these smoothly, down to 0. ``log_focal`` is the logarithm of the focal
+    length in pixels; ``lean_x``, ``lean_y`` and ``lean_z`` are the camera's turn, a rotation vector in radians;
+    ``camera_*`` its place, mm; ``blur_px`` its own blur. ``shift_*``, ``turn`` and ``gap`` say how the coupon lies.
     """
 
     variance: float
@@ -40,10 +38,10 @@ class Unknowns(NamedTuple):
     lean_x: float
     lean_y: float
     lean_z: float
-    slant_x: float
-    slant_y: float
-    distance: float
-    log_scale: float
+    camera_x: float
+    camera_y: float
+    camera_z: float
+    log_focal: float
     distortion: float
     blur_px: float
 
@@ -108,10 +106,9 @@ class CouponModel:
         from magiclens.coupon.tracing_kernels import PinholeCamera
 
         width, height = self._photograph.size
-        place = at.distance * np.array([at.slant_x, at.slant_y, 1.0])
-        focal = at.distance * math.exp(at.log_scale)
+        place = np.array([at.camera_x, at.camera_y, at.camera_z])
         axes = camera_axes((at.lean_x, at.lean_y, at.lean_z))
-        return PinholeCamera(focal, width / 2, height / 2, at.distortion, place, axes)
+        return PinholeCamera(math.exp(at.log_focal), width / 2, height / 2, at.distortion, place, axes)
 
     def _made(self, variance: float, fourth: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Heights and slopes as the process leaves them, (rows, columns) float32 each."""
