@@ -216,6 +216,7 @@ CHANGES: dict[str, tuple[str, set[str]]] = {
     "viewer.x": ("1mm", MAKES_ANOTHER_LENS),
     "viewer.y": ("1mm", MAKES_ANOTHER_LENS),
     "medium.black": ("5%", MAKES_ANOTHER_LENS),
+    "medium.glass": ("1mm", MAKES_ANOTHER_LENS),
     "fabrication.machine": ("printing", MAKES_ANOTHER_LENS),
     "pipeline.matcher.sweeps": ("6", MAKES_ANOTHER_LENS),
     "pipeline.matcher.window": ("11%", MAKES_ANOTHER_LENS),
@@ -269,7 +270,7 @@ def test_all_keys_of_a_spec_are_among_those(write_spec: SpecWriter, registry: Re
         else:
             yield at.lstrip(".")
 
-    keys = set(leaves(load_plan(write_spec(), ["medium.black=1%"], registry).resolved(), ""))
+    keys = set(leaves(load_plan(write_spec(), ["medium.black=1%", "medium.glass=1mm"], registry).resolved(), ""))
     assert keys <= {*CHANGES, *NO_VALUES}, keys - {*CHANGES, *NO_VALUES}
 
 
