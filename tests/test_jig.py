@@ -131,7 +131,8 @@ def test_without_a_stand_there_is_only_the_tray(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("lens", "bed", "words"),
     [
-        (replace(LENS, gap_mm=100.0, source_size_mm=80.0), 220.0, "nothing would hold the lens 100 mm above"),
+        (replace(LENS, gap_mm=100.0), 220.0, "the sheet would lie 100 mm deep"),
+        (replace(LENS, gap_mm=2.0), 220.0, "nothing would hold the lens 2 mm above"),
         (replace(LENS, source_size_mm=63.0), 220.0, "too little for a frame"),
         (LENS, 80.0, "use a bed of 2"),
     ],

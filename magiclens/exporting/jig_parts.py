@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 _WALL, _FLOOR, _HIGH = 6.0, 2.0, 8.0
 """Width of the walls around the lens, thickness of the floor below the sheet, height of the walls above the sheet."""
+_DEEPEST = 10.0
+"""Greatest gap between sheet and lens."""
 _LEDGE, _THINNEST = 1.0, 1.5
 """Least width of a ledge that carries the lens, and of any other wall."""
 _BLOCK, _BLOCK_HIGH = 30.0, 20.0
@@ -162,6 +164,9 @@ def _square(side: float) -> _Box:
 def _tray(lens: Lens, seat: _Box, outer: _Box, shape: JigShape) -> Manifold:
     """The tray: the sheet's pocket, the lens's seat above it, walls around both, an arrow up."""
     pocket, low = _square(lens.source_size_mm).grown(shape.clearance), -lens.gap_mm - shape.sheet
+    if lens.gap_mm > _DEEPEST:
+        reason = f"the sheet would lie {lens.gap_mm:g} mm deep in a tray, where no light falls on it"
+        raise InputError(f"{reason}; the jig is for gaps up to {_DEEPEST:g} mm", "exporter jig")
     if lens.gap_mm > 0 and _ledge(seat, pocket) < _LEDGE:
         reason = f"nothing would hold the lens {lens.gap_mm:g} mm above its sheet, which is as wide as its bottom"
         raise InputError(f"{reason}; lay spacers between them, and leave the jig out", "exporter jig")
