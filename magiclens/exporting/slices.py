@@ -27,8 +27,9 @@ if TYPE_CHECKING:
 _MOST_PIXELS = 10**8
 """Most pixels of a layer; more need more memory than a desktop has."""
 _MOST_LAYERS = 10**5
-_LEAST_LAYER_MM = 1e-6
 """Most layers; their names have five digits."""
+_LEAST_LAYER_MM = 1e-6
+"""Least height of a layer: far less than a printer can do."""
 
 
 class LayerStack(Exporter):
