@@ -27,7 +27,7 @@ TESTS = {
     "integration": ["test_integration", "test_refine", "test_through_process", "test_contracts"],
     "encoding": ["test_encoding"],
     "exporting": ["test_mesh_files", "test_exchange_files", "test_sheet", "test_slices", "test_contracts"],
-    "config": ["test_spec", "test_plan", "test_units", "hostile/test_yaml", "hostile/test_options"],
+    "config": ["test_spec", "test_plan", "test_profiles", "hostile/test_yaml", "hostile/test_options"],
 }
 """Test files of each folder of the package."""
 LONGEST_S = 600

@@ -106,6 +106,12 @@ def test_views_that_share_a_source_are_solved_together(rng: np.random.Generator)
         assert abs(seen - wanted)[rows].mean() < 0.02
 
 
+def test_progress_is_the_share_of_sources_that_are_done(rng: np.random.Generator) -> None:
+    given, told = scene(rng, [picture(rng), picture(rng), picture(rng)], ["a", "b", "a"]), list[float]()
+    LeastSquaresEncoder(iterations=1).encode(given, [shuffled()] * 3, rng, told.append)
+    assert told == [0.5, 1.0]
+
+
 def test_frames_have_sources_of_their_own_and_unseen_pixels_keep_what_was_given(rng: np.random.Generator) -> None:
     transport, given = shuffled(), scene(rng, [picture(rng), picture(rng)], ["a", "b"])
     out = encoded(given, [transport, transport])

@@ -277,6 +277,18 @@ def test_everything_but_the_scenario_has_a_default(tmp_path: Path) -> None:
     assert spec.pipeline.choice("encoder", {}) is None
 
 
+@pytest.mark.parametrize(
+    ("stem", "name"),
+    [("größe & co", "gr--e - co"), ("..hidden", "hidden"), ("鍵", "lens"), ("._ -", "lens"), ("a_b.c-d", "a_b.c-d")],
+)
+def test_a_spec_without_a_name_is_called_like_its_file_but_for_what_folders_cannot_have(
+    stem: str, name: str, tmp_path: Path
+) -> None:
+    path = tmp_path / f"{stem}.yaml"
+    path.write_text("scenario: {type: single}\n")
+    assert load_spec(path).name == name
+
+
 def test_options_without_a_type_go_to_the_default_stage(tmp_path: Path) -> None:
     path = tmp_path / "a.yaml"
     path.write_text("scenario: {type: single}\npipeline: {matcher: {window: 5%}}\n")
@@ -373,6 +385,13 @@ def test_the_schema_accepts_the_specs_in_the_repository(path: Path, schema: dict
     assert list(Draft7Validator(schema).iter_errors(read_document(path).data)) == []
 
 
+def test_the_schema_asks_for_types_where_there_is_no_default(schema: dict[str, Any]) -> None:
+    required = {name: found["required"] for name, found in schema["definitions"].items() if "required" in found}
+    assert "type" in required["exporter-stl"]
+    assert "type" in required["renderer-tracer"]
+    assert "type" not in required["matcher-exhaustive"]
+
+
 @pytest.mark.parametrize("path", SPECS, ids=lambda p: p.name)
 def test_the_specs_in_the_repository_compile_and_read_back_resolved(path: Path) -> None:
     assert load_plan(path).spec.name == path.stem
@@ -392,6 +411,8 @@ def test_the_specs_in_the_repository_compile_and_read_back_resolved(path: Path) 
         {"scenario": {"type": "single", "source": {"type": "text", "text": "a", "box": []}, "target": {"art": "bat"}}},
         {"pipeline": {"matcher": {"type": "exhaustive", "windw": "10%"}}},
         {"pipeline": {"exporters": [{"type": "nothing"}]}},
+        {"pipeline": {"exporters": [{}]}},
+        {"pipeline": {"renderers": [{"resolution": 64}]}},
     ],
 )
 def test_the_schema_refuses_what_the_program_refuses(wrong: dict[str, Any], schema: dict[str, Any]) -> None:
