@@ -153,7 +153,7 @@ def main() -> None:
             folder = folders[number % len(folders)]
             if number < len(folders) and not survives(None, copy, TESTS[folder]):
                 sys.exit(f"the tests of {folder} fail without any mutant")
-            mutant = rng.choice(per_folder[folder])
+            mutant = per_folder[folder].pop(rng.randrange(len(per_folder[folder])))
             alive = survives(mutant, copy, TESTS[folder])
             survivors += [mutant] if alive else []
             print(f"{number + 1}/{options.count} {'SURVIVED' if alive else 'killed'}  {mutant}", flush=True)
