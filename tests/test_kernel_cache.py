@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 import time
@@ -52,6 +53,23 @@ def test_all_kernels_are_compiled_into_that_folder() -> None:
         if re.search(r"(from numba import|import numba)[^\n]*\b(njit|jit|numba)\b", path.read_text(encoding="utf-8"))
     }
     assert importing == {"kernels/compiler.py"}
+
+
+def test_copies_of_the_package_share_what_is_compiled(tmp_path: Path) -> None:
+    """Installed in two virtual environments, or in one and in the clone that ``python -m`` looks into."""
+    count = "from magiclens.kernels.add import add\nadd(2, 3)\nprint(*add.stats.cache_hits.values())"
+    hits = []
+    for place in ("one", "two"):
+        kernels = tmp_path / place / "magiclens" / "kernels"
+        shutil.copytree(PACKAGE / "kernels", kernels, ignore=shutil.ignore_patterns("__pycache__"))
+        (kernels.parent / "__init__.py").touch()
+        (kernels / "add.py").write_text(ADD, encoding="utf-8")
+        environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(tmp_path / place)}
+        done = subprocess.run(
+            [sys.executable, "-P", "-c", count], env=environment, capture_output=True, text=True, check=True
+        )
+        hits.append(done.stdout.strip())
+    assert hits == ["", "1"]
 
 
 def test_folders_that_nobody_uses_are_removed(tmp_path: Path) -> None:

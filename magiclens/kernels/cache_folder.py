@@ -8,6 +8,8 @@ from pathlib import Path
 
 import platformdirs
 
+PACKAGE = Path(__file__).resolve().parents[1]
+"""The folder of magiclens."""
 VARIABLE = "NUMBA_CACHE_DIR"
 """The variable of the environment that names another folder for compiled kernels."""
 
@@ -18,7 +20,7 @@ def caches_folder() -> Path:
     return Path(chosen) if chosen else platformdirs.user_cache_path("magiclens")
 
 
-def cache_folder(package: Path = Path(__file__).parents[1]) -> Path:
+def cache_folder(package: Path = PACKAGE) -> Path:
     """The folder for kernels that are compiled from a package's sources as they are.
 
     numba compiles a kernel again when its own file has changed. It would keep one that calls a kernel of another file,

@@ -5,17 +5,66 @@ from __future__ import annotations
 import os
 import shutil
 import time
+from collections.abc import Callable
 from contextlib import suppress
+from functools import cache
+from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
+import numba
+import numpy as np
 from numba import config, njit
+from numba.core.caching import CompileResultCacheImpl, _CacheLocator
 
-from magiclens.kernels.cache_folder import cache_folder
+from magiclens.kernels.cache_folder import PACKAGE, cache_folder
 
 __all__ = ["njit"]
 
 _UNUSED_DAYS = 30
 """Kernels of other states of the sources are removed when nobody has used them for so long."""
+_COMPILER = f"numba-{numba.__version__}-numpy-{np.__version__}" + "-svml" * bool(config.USING_SVML)  # type: ignore[attr-defined]
+"""What machine code depends on besides the sources and the processor, which numba itself looks at."""
+
+
+@cache
+def _hash_of(path: Path) -> str:
+    return sha256(path.read_bytes()).hexdigest()
+
+
+class _PackageLocator(_CacheLocator):
+    """Finds a kernel by the place of its file in the package, and by what the file says.
+
+    numba's own locators go by the path on the disk. So a package that is installed would share nothing with its clone,
+    nor one virtual environment with another.
+    """
+
+    def __init__(self, kernel: Callable[..., Any], file: Path):
+        self._py_file = str(file)  # numba names it in warnings
+        self._line = kernel.__code__.co_firstlineno
+        self._hash = _hash_of(file)
+        self._folder = _folder / _COMPILER / file.relative_to(PACKAGE).parent
+
+    def get_cache_path(self) -> str:
+        return str(self._folder)
+
+    def get_source_stamp(self) -> str:
+        return self._hash
+
+    def get_disambiguator(self) -> str:
+        return str(self._line)
+
+    @classmethod
+    def from_function(cls, py_func: Callable[..., Any], py_file: str) -> _PackageLocator | None:
+        """``None`` for kernels of others, and where nothing can be written: numba then asks its own locators."""
+        file = Path(py_file).resolve()
+        if not file.is_relative_to(PACKAGE):
+            return None
+        with suppress(OSError):
+            locator = cls(py_func, file)
+            locator.ensure_cache_path()
+            return locator
+        return None
 
 
 def _prepare(folder: Path) -> None:
@@ -32,3 +81,4 @@ with suppress(OSError):  # numba then looks for a place itself, or compiles for 
     _folder = cache_folder()
     _prepare(_folder)
     config.CACHE_DIR = str(_folder)  # type: ignore[attr-defined]
+    CompileResultCacheImpl._locator_classes = [_PackageLocator, *CompileResultCacheImpl._locator_classes]

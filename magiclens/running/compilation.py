@@ -155,7 +155,8 @@ def _listener(compiling: Callable[[], None]) -> Any:
 
 def _start_child(specs: Sequence[Path], overrides: Sequence[str], parts: Sequence[str]) -> subprocess.Popen[str]:
     """A process that does ``compile_parts`` for specs; its standard output names the parts that are done."""
-    command = [sys.executable, "-m", __name__, ",".join(parts), os.pathsep.join(map(str, specs)), *overrides]
+    # -P: what lies in the folder that the user happens to be in, maybe another magiclens, is not what runs
+    command = [sys.executable, "-P", "-m", __name__, ",".join(parts), os.pathsep.join(map(str, specs)), *overrides]
     # errors are of no interest: what the child has not compiled, the run compiles, and reports what is wrong
     nothing = subprocess.DEVNULL
     return subprocess.Popen(command, stdin=nothing, stdout=subprocess.PIPE, stderr=nothing, text=True)
