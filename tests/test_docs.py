@@ -21,6 +21,7 @@ from magiclens.contract.stages import KINDS
 from magiclens.images import read_image, to_display
 from magiclens.images.art import ART
 from magiclens.images.files import write_png
+from magiclens.images.likeness import likeness, word_for
 from magiclens.images.score import psnr_db
 from magiclens.plan.registry import STAGE, Registry
 from magiclens.web.gallery.docs import Library, anchor_of, doc_page, doc_paths, inline_markup
@@ -271,3 +272,30 @@ def test_every_option_of_every_stage_has_a_description() -> None:
                 for key, kinds, _, meaning in table.rows:
                     assert meaning or kinds.startswith("`"), f"{kind} {name}: {key}"
                     assert "anything" not in kinds, f"{kind} {name}: {key}"
+
+
+@pytest.fixture
+def verdicts(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The script that draws the examples of verdicts."""
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    return import_module("draw_verdicts")
+
+
+def test_every_example_of_a_verdict_is_shown_under_its_word_and_gets_it(verdicts: ModuleType) -> None:
+    text = (ROOT / "docs" / "explanation" / "verdicts.md").read_text(encoding="utf-8")
+    sections = {part.split(":")[0].split("\n")[0].lower(): part for part in text.split("\n## ")[1:]}
+    assert {path.stem for path in verdicts.IMAGES.iterdir()} == set(verdicts.EXAMPLES)
+    for name, shown, wanted in verdicts.pictures():
+        word = verdicts.EXAMPLES[name][2]
+        assert f"/{name}.png" in sections[word], name
+        assert word_for(likeness(shown, wanted)) == word, name
+        kept = read_image(verdicts.IMAGES / f"{name}.png")
+        assert word_for(likeness(kept, wanted)) == word, f"{name}: run `python docs/draw_verdicts.py`"
+
+
+def test_the_limits_of_verdicts_are_those_of_the_page() -> None:
+    text = (ROOT / "docs" / "explanation" / "verdicts.md").read_text(encoding="utf-8")
+    limits = re.findall(r"^## ([\w ]+): .*?([\d.]+) or more", text, re.MULTILINE)
+    assert [word.lower() for word, _ in limits] == ["clear", "recognisable", "hard to see"]
+    for word, least in limits:
+        assert word_for(float(least)) == word.lower() != word_for(float(least) - 0.001)

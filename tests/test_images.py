@@ -15,6 +15,7 @@ from magiclens.contract.artifacts import FloatArray
 from magiclens.contract.errors import InputError
 from magiclens.images import (
     COLOURED,
+    art,
     circles,
     grey,
     luminance,
@@ -26,6 +27,7 @@ from magiclens.images import (
     to_linear,
     write_png,
 )
+from magiclens.images.likeness import likeness, resolved_px
 from magiclens.images.resample import pixels_touching
 
 
@@ -338,3 +340,27 @@ def test_a_mask_on_another_raster_covers_all_that_it_covered(sides: tuple[int, i
     fine = np.kron(mask, np.ones((new, new), bool))  # so fine that both rasters divide it
     expected = fine.reshape(new, old, new, old).any(axis=(1, 3))
     np.testing.assert_array_equal(found, expected)
+
+
+def test_a_picture_is_like_itself_at_any_exposure_and_size() -> None:
+    target = art("panda", 200)
+    assert likeness(target, target) == pytest.approx(1)
+    assert likeness(0.4 * target, target) == pytest.approx(1, abs=1e-6)
+    assert likeness(resize(target, (64, 64)), target) > 0.8
+
+
+def test_what_is_finer_than_the_eye_resolves_does_not_count() -> None:
+    target = resize(art("panda", 400), (400, 400))
+    dither = target * np.where(np.indices((400, 400)).sum(axis=0) % 2, 0.2, 1.0)[..., None].astype(np.float32)
+    assert likeness(dither, target, 200) > likeness(dither, target) + 0.02
+    assert likeness(dither, target, 200) > 0.99
+
+
+def test_an_eye_resolves_one_arc_minute() -> None:
+    assert resolved_px(100, 100 / np.tan(np.radians(1 / 60))) == pytest.approx(1)
+    assert resolved_px(50, 300) == pytest.approx(573, abs=1)
+
+
+def test_a_target_without_contrast_has_a_likeness_too() -> None:
+    grey_paper = np.full((180, 180, 1), 0.5, np.float32)
+    assert likeness(grey_paper, grey_paper) == pytest.approx(1)

@@ -22,7 +22,7 @@ from magiclens.exporting.mesh_files import STL_HEADER
 from magiclens.geometry.solid import solid_from_heights
 from magiclens.plan.compile import Plan, load_plan
 from magiclens.preflight.checks import run_preflight
-from magiclens.preflight.finding import Finding, Preflight, graded, worst, worst_facet_text
+from magiclens.preflight.finding import Finding, Preflight, Verdict, graded, worst, worst_facet_text
 from magiclens.preflight.light import check_fresnel_loss, check_total_reflection
 from magiclens.preflight.machine import check_as_made, check_bed, check_detail, check_material, check_tool_reach
 from magiclens.preflight.mesh_file import MeshFile, read_mesh_file
@@ -112,11 +112,51 @@ def test_a_run_states_what_the_machine_costs(run: Run) -> None:
 
 
 @pytest.mark.parametrize(
-    ("shown", "loss", "status"), [(25, 12, "green"), (15, 2, "amber"), (15, 8, "amber"), (9, 8, "red")]
+    ("made", "designed", "status", "word"),
+    [
+        (0.9, 0.1, "green", "as made: clear"),
+        (0.5, 0.9, "green", "as made: recognisable"),
+        (0.3, 0.9, "amber", "as made: hard to see"),
+        (0.1, 0.9, "red", "as made: lost"),
+        (None, 0.9, "grey", "as made: not checked"),
+        (None, 0.3, "amber", "as designed: hard to see"),
+        (None, 0.1, "red", "as designed: lost"),
+        (None, None, "grey", "as designed: not checked"),
+    ],
 )
-def test_what_counts_is_the_picture_as_made(shown: float, loss: float, status: str) -> None:
-    (finding,) = check_as_made({"as_made_psnr_db": shown, "fabrication_loss_db": loss})
-    assert finding.status == status
+def test_what_counts_is_the_picture_as_made(
+    made: float | None, designed: float | None, status: str, word: str
+) -> None:
+    verdict = Verdict(made, designed)
+    metrics = {} if made is None else {"as_made_psnr_db": 20.0, "fabrication_loss_db": 2.0}
+    finding = check_as_made(metrics, verdict)
+    assert finding.status == verdict.status == status
+    assert word in finding.text
+    assert Preflight("x", "", [finding], None, verdict).status == status
+
+
+def test_the_verdict_comes_first_and_is_the_same_on_every_page(run: Run) -> None:
+    facts = json.loads((run.folder / "preflight.json").read_text())
+    words = facts["verdict"]["text"]
+    assert next(iter(facts)) == "verdict"
+    assert facts["checks"][0]["check"] == "as made"
+    for page in ("preflight.html", "report.html"):
+        assert words.capitalize() in (run.folder / page).read_text(), page
+    made = f"{run.manifest['metrics']['as_made_psnr_db']:.1f} dB"
+    assert made in facts["checks"][0]["text"]
+    assert f"{made}, SSIM" in (run.folder / "report.html").read_text(), "the figure's caption has the same number"
+
+
+def test_without_a_machine_the_picture_as_made_is_not_checked(run: Run, folder: Path) -> None:
+    manifest = json.loads((folder / "manifest.json").read_text())
+    del manifest["metrics"]["as_made_psnr_db"]
+    plan = load_plan(folder / "spec.yaml")
+    assert "was not simulated" in run_preflight(folder, manifest, plan).verdict.text
+    found = run_preflight(folder, manifest, replace(plan, fabrication=None))
+    assert found.verdict.made is None
+    assert "name one: fabrication: {machine: sla}" in preflight_text(found).splitlines()[0]
+    assert found.findings[0].status == "grey"
+    assert found.status != "green"
 
 
 def test_the_quick_check_agrees_with_the_thorough_one(run: Run) -> None:
@@ -330,7 +370,7 @@ def test_the_bill_is_volume_times_density_times_price() -> None:
     assert text.startswith("1.44 cm3; 0.0017 kg")
     assert "about 2 EUR at 1000 EUR/kg" in text
     assert "out of a block of 1.44 cm3" in check_material(body, MILL, materials()["acrylic"]).text
-    assert check_material(body, MILL, None).status == "amber"
+    assert check_material(body, MILL, None).status == "grey"
 
 
 def test_micro_facets_finer_than_the_printer_are_amber_and_small_facets_red() -> None:
@@ -371,6 +411,7 @@ def test_the_page_is_whole_and_escapes_names(tmp_path: Path) -> None:
     write_preflight(found, tmp_path)
     assert first == {p.name: p.read_bytes() for p in tmp_path.iterdir()}
     assert preflight_text(found).splitlines() == [
+        "as made: not checked; as designed: not checked", "",
         "amber  slopes             1 < 2", "", "amber: Can be made; look at what is amber first.",
     ]  # fmt: skip
 

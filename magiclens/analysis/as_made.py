@@ -38,7 +38,7 @@ def _figures(result: RunResult, findings: Findings) -> list[Figure]:
     titles = ["Target", *(["Through the mesh itself"] if meshes else []), "As the machine makes it"]
     rows = []
     for k, view in enumerate(views):
-        photos = [*([meshes[k]] if meshes else []), photograph(findings.pictures[made_picture(view.name)], view)]
+        photos = [*([meshes[k]] if meshes else []), photograph(findings.pictures[made_picture(view.name)], view, 1.0)]
         seen = [(to_pixels(photo.picture, side), photo.caption) for photo in photos]
         rows.append([(to_pixels(view.target, side), view.name), *seen])
     caption = "Hold this against your print: what cameras see of the lens as its machine makes it, simulated."

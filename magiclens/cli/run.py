@@ -154,7 +154,7 @@ def _summary(folder: Path, manifest: dict[str, Any]) -> str:
     files = [a["path"] for a in manifest["artifacts"] if "/" not in a["path"]]
     if "preflight.json" in files:
         preflight = json.loads((folder / "preflight.json").read_text(encoding="utf-8"))
-        lines += ["", f"preflight: {preflight['status']}"]
+        lines += ["", preflight["verdict"]["text"], f"preflight: {preflight['status']}"]
     return "\n".join([*lines, "", f"{folder}: {', '.join(files)}, manifest.json"])
 
 

@@ -27,18 +27,19 @@ class Photograph:
         return f"{self.score.psnr_db:.1f} dB, SSIM {self.score.ssim:.2f}"
 
 
-def photograph(picture: FloatArray, view: View) -> Photograph:
+def photograph(picture: FloatArray, view: View, gain: float | None = None) -> Photograph:
     """Expose a rendered picture of a view as its score does.
 
     Args:
         picture: (R, R, C) linear light, in any unit.
         view: The view that the picture shows; its target is resized to the picture.
+        gain: 1 for a picture that is exposed already; by default the gain that fits the target best.
 
     Returns:
         The picture after one gain, clipped to 0..1, with its target and its score.
     """
     target = resize(view.target, picture.shape[:2])
-    found = score(picture, target)
+    found = score(picture, target, gain)
     return Photograph(np.clip(picture * np.float32(found.gain), 0, 1), target, found)
 
 

@@ -28,6 +28,7 @@ from magiclens.preflight.mesh_file import mesh_files, read_mesh_file
 from magiclens.preflight.picture import CHECKED_VIEWS, check_orientation, check_source_resolution
 from magiclens.preflight.placing import check_placing
 from magiclens.preflight.triangles import TopTriangles, top_triangles, trace_triangles_for_views
+from magiclens.preflight.verdict import verdict_of
 from magiclens.profiles.machines import Machine, Mill
 from magiclens.profiles.materials import materials
 
@@ -51,11 +52,13 @@ def run_preflight(folder: Path, manifest: Mapping[str, Any], plan: Plan, solid: 
     paths = mesh_files(folder)
     if not paths:
         raise InputError("there is no mesh file to be made; add an exporter such as stl", str(folder))
+    verdict = verdict_of(folder, manifest, plan)
+    shown = check_as_made(manifest["metrics"], verdict)
     try:
         file = read_mesh_file(paths[0])
     except Exception as error:  # readers of broken files raise anything
         broken = Finding("mesh", "red", f"{paths[0].name} cannot be read: {error}")
-        return Preflight(str(manifest["name"]), made_by, [broken], None)
+        return Preflight(str(manifest["name"]), made_by, [shown, broken], None, verdict)
     lens, views = plan.lens, _stored_views(folder, manifest)
     eye = lens.cut_along(np.mean([view.eye_mm for view in views], axis=0))
     known = body_checked_by_finisher(manifest["metrics"], file.name) if solid and file.same_as(solid) else None
@@ -65,10 +68,11 @@ def run_preflight(folder: Path, manifest: Mapping[str, Any], plan: Plan, solid: 
         body.append(check_same_body(file, paths[1:]))
     # the other checks take coordinates for millimetres and need a top
     if any(finding.check == "size" and finding.status == "red" for finding in body) or not len(file.on_top):
-        return Preflight(str(manifest["name"]), made_by, body, None)
+        return Preflight(str(manifest["name"]), made_by, [shown, *body], None, verdict)
     top = top_triangles(file, lens, eye)
     traced = trace_triangles_for_views(top.triangles, lens, views)
     findings = [
+        shown,
         *body,
         check_bottom(file),
         check_thickness(file, top, lens, machine),
@@ -79,12 +83,11 @@ def run_preflight(folder: Path, manifest: Mapping[str, Any], plan: Plan, solid: 
         *([check_tool_reach(file, top, lens, machine)] if isinstance(machine, Mill) else []),
         check_bed(file, machine),
         check_material(file, machine, materials().get(plan.spec.lens.material or "")),
-        *check_as_made(manifest["metrics"]),
         check_orientation(file, lens, views, traced, _run_psnr_db(manifest)),
         check_source_resolution(lens, views),
         *check_placing(manifest["metrics"], lens, views[0]),
     ]
-    return Preflight(str(manifest["name"]), made_by, findings, _mean_slopes_deg(top, lens))
+    return Preflight(str(manifest["name"]), made_by, findings, _mean_slopes_deg(top, lens), verdict)
 
 
 def _stored_views(folder: Path, manifest: Mapping[str, Any]) -> list[View]:

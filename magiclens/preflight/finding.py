@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from magiclens.contract.artifacts import BoolArray, FloatArray, IntArray, Lens
+from magiclens.images.likeness import Word, word_for
 
-Status = Literal["green", "amber", "red"]
-"""Grade of a finding: the lens is fit to be made; it should be examined first; it should not be made."""
-_ORDER: tuple[Status, ...] = ("green", "amber", "red")
+Status = Literal["green", "grey", "amber", "red"]
+"""Grade of a finding: the lens is fit to be made; this was not checked; it should be examined first; it should not be
+made."""
+_ORDER: tuple[Status, ...] = ("green", "grey", "amber", "red")
 """Statuses from the best to the worst."""
+
+_STATUS_OF_WORD: Mapping[Word, Status] = {
+    "clear": "green",
+    "recognisable": "green",
+    "hard to see": "amber",
+    "lost": "red",
+}
+"""How words for pictures are graded."""
 
 FacetIndices = tuple[tuple[int, int], ...]
 """(row, column) of facets; row 0 is at +y, column 0 at -x."""
@@ -37,6 +47,41 @@ class Finding:
 
 
 @dataclass(frozen=True)
+class Verdict:
+    """What an eye will make of the worst view of a lens.
+
+    Attributes:
+        made: Likeness of the picture as made and its target, see ``likeness``; None if that was not checked.
+        designed: The same of the picture as designed; None if the run has taken none.
+        unchecked: Why ``made`` is None, and what to do about it.
+    """
+
+    made: float | None = None
+    designed: float | None = None
+    unchecked: str = ""
+
+    @property
+    def status(self) -> Status:
+        """The grade: grey if the picture as made was not checked, unless even the designed one is hard to see."""
+        if self.made is not None:
+            return _STATUS_OF_WORD[word_for(self.made)]
+        designed: Status = "grey" if self.designed is None else _STATUS_OF_WORD[word_for(self.designed)]
+        return "grey" if designed == "green" else designed
+
+    @property
+    def text(self) -> str:
+        """Both words, in a line."""
+        why = f" ({self.unchecked})" if self.unchecked else ""
+        return f"as made: {_in_words(self.made)}{why}; as designed: {_in_words(self.designed)}"
+
+    def as_object(self) -> dict[str, Any]:
+        """For ``preflight.json``; likeness in three digits."""
+        numbers = {"as_made": self.made, "as_designed": self.designed}
+        words = {name: {"word": _word(value), "likeness": value and round(value, 3)} for name, value in numbers.items()}
+        return {"text": self.text, "status": self.status, **words}
+
+
+@dataclass(frozen=True)
 class Preflight:
     """All findings about a run folder.
 
@@ -45,12 +90,14 @@ class Preflight:
         made_by: Title of the machine, empty if none is named.
         findings: One finding or more per check, in the order of the page.
         slopes_deg: (N, N) mean slope of each facet, for the map; None if there is no mesh of the right size.
+        verdict: Whether the lens will show its picture; the first of the findings is about it, too.
     """
 
     name: str
     made_by: str
     findings: Sequence[Finding]
     slopes_deg: FloatArray | None
+    verdict: Verdict = Verdict()
 
     @property
     def status(self) -> Status:
@@ -91,3 +138,11 @@ def worst_facet_text(facets: FacetIndices) -> str:
     row, column = facets[0]
     more = f", and {len(facets) - 1} more" if len(facets) > 1 else ""
     return f"; the worst is facet row {row}, column {column}{more}"
+
+
+def _word(value: float | None) -> str:
+    return "not checked" if value is None else word_for(value)
+
+
+def _in_words(value: float | None) -> str:
+    return _word(value) if value is None else f"{_word(value)}, likeness {value:.2f}"

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from magiclens.contract.artifacts import Lens
-from magiclens.preflight.finding import Finding, Status, facets_where, graded, worst_facet_text
+from magiclens.preflight.finding import Finding, Status, Verdict, facets_where, graded, worst_facet_text
 from magiclens.preflight.light import SMALL_SHARE
 from magiclens.preflight.mesh_file import BOTTOM_MM, MeshFile
 from magiclens.preflight.triangles import TopTriangles
@@ -18,10 +18,6 @@ _THINNEST_MM = 1.0
 """Least thickness where no machine is named."""
 _ROUNDED_SHARE = 0.4
 """Share of the lens in rounded strips above which fewer facets show more."""
-_CLEAR_DB = 20.0
-"""PSNR from which a picture is clear."""
-_POOR_DB = 10.0
-"""PSNR below which a picture can no longer be recognised."""
 
 
 def check_thickness(file: MeshFile, top: TopTriangles, lens: Lens, machine: Machine | None) -> Finding:
@@ -50,7 +46,7 @@ def check_bed(file: MeshFile, machine: Machine | None) -> Finding:
     sides = np.diff(file.extent_mm, axis=0)[0]
     extent = f"{sides[0]:.4g} x {sides[1]:.4g} x {sides[2]:.4g} mm"
     if machine is None:
-        return Finding("bed", "green", f"{extent}; no machine is named")
+        return Finding("bed", "grey", f"{extent}; no machine is named")
     room = machine.bed
     flat = sorted(sides[:2]) <= sorted(room[:2]) and max(sides[:2]) <= max(room[:2])
     fits = flat and sides[2] <= room[2]
@@ -67,7 +63,7 @@ def check_material(file: MeshFile, machine: Machine | None, material: Material |
     of_block = f", out of a block of {block:.4g} cm3" if milled else ""
     price = machine.price if machine and machine.price is not None else material.price if material else None
     if material is None:
-        return Finding("material", "amber", f"{volume:.4g} cm3{of_block}; no material is named, so its cost is unknown")
+        return Finding("material", "grey", f"{volume:.4g} cm3{of_block}; no material is named, so its cost is unknown")
     mass = (block if milled else volume) * material.density / 1000
     cost = f"{mass:.3g} kg of {material.title}, about {mass * (price or 0.0):.0f} EUR at {price:g} EUR/kg"
     return Finding("material", "green", f"{volume:.4g} cm3{of_block}; {cost}")
@@ -137,12 +133,11 @@ def check_bottom(file: MeshFile) -> Finding:
     return Finding("bottom", "green" if at_zero else "amber", text)
 
 
-def check_as_made(metrics: Mapping[str, float]) -> list[Finding]:
-    """Grade the picture of the lens as the machine makes it; no finding if the run has not simulated that."""
+def check_as_made(metrics: Mapping[str, float], verdict: Verdict) -> Finding:
+    """The verdict as a finding, with what making costs if the run has simulated that."""
     if "as_made_psnr_db" not in metrics:
-        return []
+        return Finding("as made", verdict.status, verdict.text)
     shown_db, loss_db = metrics["as_made_psnr_db"], metrics["fabrication_loss_db"]
-    status: Status = "green" if shown_db >= _CLEAR_DB else "red" if shown_db < _POOR_DB else "amber"
     # a lens that was refined through its process is better as made than as its mesh
     cost = f"making it costs {loss_db:.1f} dB" if loss_db > 0 else "it was designed for how it is made"
-    return [Finding("as made", status, f"as made the picture is {shown_db:.1f} dB from its target; {cost}")]
+    return Finding("as made", verdict.status, f"{verdict.text}; {shown_db:.1f} dB from its target, {cost}")

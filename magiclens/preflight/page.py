@@ -13,14 +13,15 @@ from magiclens.pages.pictures import webp_uri
 from magiclens.pages.templating import render_page
 from magiclens.preflight.finding import Finding, Preflight
 
-STATUS_COLOURS = {"green": (22, 128, 60), "amber": (217, 119, 6), "red": (200, 30, 40)}
+STATUS_COLOURS = {"green": (22, 128, 60), "grey": (110, 110, 110), "amber": (217, 119, 6), "red": (200, 30, 40)}
 """Colours of the frames in the map, 8-bit sRGB."""
 _MAP_SIDE = 640
 """Width and height of the map, pixels."""
 _MOST_PICTURES = 4
 """Most pictures of the lens as made that the page shows."""
-_VERDICTS = {
+_ADVICE = {
     "green": "Fit to be made.",
+    "grey": "Nothing wrong was found, but what is grey was not checked.",
     "amber": "Can be made; look at what is amber first.",
     "red": "Not fit to be made as it is.",
 }
@@ -34,9 +35,9 @@ def write_preflight(found: Preflight, folder: Path) -> None:
 
 
 def preflight_text(found: Preflight) -> str:
-    """A table for a terminal: one line for each check, then the verdict."""
+    """A table for a terminal: the verdict, one line for each check, then whether the lens is fit to be made."""
     lines = [f"{f.status:6} {f.check:18} {f.text}" for f in found.findings]
-    return "\n".join([*lines, "", f"{found.status}: {_VERDICTS[found.status]}"])
+    return "\n".join([found.verdict.text, "", *lines, "", f"{found.status}: {_ADVICE[found.status]}"])
 
 
 def lens_map(found: Preflight) -> Pixels | None:
@@ -73,7 +74,7 @@ def _shades(slopes_deg: FloatArray) -> Pixels:
 
 
 def _at_fault(found: Preflight) -> list[Finding]:
-    return [finding for finding in found.findings if finding.facets and finding.status != "green"]
+    return [finding for finding in found.findings if finding.facets and finding.status in ("amber", "red")]
 
 
 def _as_object(found: Preflight) -> dict[str, object]:
@@ -82,7 +83,13 @@ def _as_object(found: Preflight) -> dict[str, object]:
         {"check": f.check, "status": f.status, "text": f.text, "facets": [list(facet) for facet in f.facets]}
         for f in found.findings
     ]
-    return {"name": found.name, "machine": found.made_by or None, "status": found.status, "checks": checks}
+    return {
+        "verdict": found.verdict.as_object(),
+        "name": found.name,
+        "machine": found.made_by or None,
+        "status": found.status,
+        "checks": checks,
+    }
 
 
 def _as_made(folder: Path) -> dict[str, str]:
@@ -105,7 +112,7 @@ def _page(found: Preflight, as_made: dict[str, str]) -> str:
     return render_page(
         "magiclens.preflight/preflight.html",
         found=found,
-        verdict=_VERDICTS[found.status],
+        advice=_ADVICE[found.status],
         map=None if picture is None else webp_uri(picture),
         side=_MAP_SIDE,
         framed=[finding.check for finding in _at_fault(found)],

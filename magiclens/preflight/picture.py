@@ -64,20 +64,23 @@ def check_orientation(
     flipped = _mean_psnr_db(flipped_pictures, targets)
     right = psnr_db.pop(_TURNS[0])
     best = max(psnr_db, key=lambda name: psnr_db[name])
-    text = f"rendered from {file.name}, the picture is {right:.1f} dB from its target"
+    # differences alone: this coarse picture's own PSNR would be another number for what the report shows
+    text, farther = f"seen through {file.name}, the picture", "dB farther from its target"
     # only a picture about as good as the run's proves that the file is turned or mirrored
     good = -np.inf if run_psnr_db is None else run_psnr_db - _EXPECTED_LOSS_DB
     if flipped > max(right + _CLEARLY_BETTER_DB, good):
-        return Finding("mirror image", "red", f"{text}, but {flipped:.1f} dB if the file is mirrored: it is inside out")
+        nearer = f"{flipped - right:.1f} dB nearer to its target if the file is mirrored"
+        return Finding("mirror image", "red", f"{text} is {nearer}: it is inside out")
     if psnr_db[best] > max(right + _CLEARLY_BETTER_DB, good):
-        return Finding("mirror image", "red", f"{text}, but {psnr_db[best]:.1f} dB from the target {best}")
-    if right < good:
-        return Finding("mirror image", "red", f"{text}; the run saw {run_psnr_db:.1f} dB: another lens, or turned?")
+        return Finding("mirror image", "red", f"{text} is {psnr_db[best] - right:.1f} dB nearer to its target {best}")
+    if run_psnr_db is not None and right < good:
+        lost = f"{run_psnr_db - right:.1f} {farther} than that of the run"
+        return Finding("mirror image", "red", f"{text} is {lost}: another lens, or turned?")
     if psnr_db[best] > right - _CLEARLY_BETTER_DB:
-        text = f"{text}, which looks the same {best}; {flipped:.1f} dB if the file is mirrored"
-        return Finding("mirror image", "green", text)
-    other = max(flipped, psnr_db[best])
-    return Finding("mirror image", "green", f"{text}; mirrored or turned at best {other:.1f} dB")
+        mirrored_file = f"{right - flipped:.1f} {farther} if the file is mirrored"
+        return Finding("mirror image", "green", f"{text} looks the same {best}; it is {mirrored_file}")
+    other = right - max(flipped, psnr_db[best])
+    return Finding("mirror image", "green", f"{text} is the right way round; mirrored or turned, {other:.1f} {farther}")
 
 
 def picture_of_triangles(traced: TracedTriangles, lens: Lens, view: View, side: int) -> FloatArray:

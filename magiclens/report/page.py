@@ -11,7 +11,16 @@ from magiclens.contract.result import RunResult
 from magiclens.drawing.figure import Figure
 from magiclens.drawing.photographs import Photograph
 from magiclens.pages.templating import render_page
-from magiclens.report.tables import errands, file_rows, headline_rows, lens_rows, metric_rows, option_rows, score_rows
+from magiclens.report.tables import (
+    errands,
+    file_rows,
+    headline_rows,
+    lens_rows,
+    metric_rows,
+    option_rows,
+    score_rows,
+    verdict_of_run,
+)
 
 
 def figure_block(figure: Figure) -> str:
@@ -37,6 +46,7 @@ def report_page(
         lens=data.scene.lens,
         views=len(data.scene.views),
         figures=[Markup(block) for block in figures],
+        verdict=verdict_of_run(folder),
         headlines=headline_rows(data, photos),
         errands=errands(data.scene, folder),
         renderers=list(photos),

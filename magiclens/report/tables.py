@@ -145,6 +145,15 @@ class Errand(NamedTuple):
     how: str
 
 
+def verdict_of_run(folder: Path) -> Mapping[str, Any] | None:
+    """The verdict that preflight has left in a run folder; None if there is no mesh, and so no preflight."""
+    path = folder / "preflight.json"
+    if not path.is_file():
+        return None
+    verdict: Mapping[str, Any] | None = json.loads(path.read_text(encoding="utf-8")).get("verdict")
+    return verdict
+
+
 def errands(scene: Scene, folder: Path) -> list[Errand]:
     """What is to be done to have the lens in hand, with the files of a run folder that it takes."""
     lens, view = scene.lens, scene.views[0]
@@ -170,7 +179,7 @@ def errands(scene: Scene, folder: Path) -> list[Errand]:
 def headline_rows(data: RunResult, photos: Mapping[str, Sequence[Photograph]]) -> list[TableRow]:
     """The few numbers at the top of the page; ``photos`` are one for each view, by renderer."""
     rows = [
-        TableRow(f"PSNR ({name})", f"{_mean([photo.score.psnr_db for photo in of_views]):.1f} dB")
+        TableRow(f"PSNR as designed ({name})", f"{_mean([photo.score.psnr_db for photo in of_views]):.1f} dB")
         for name, of_views in photos.items()
     ]
     return rows + metric_headlines(data.manifest["metrics"], _HEADLINE_METRICS)

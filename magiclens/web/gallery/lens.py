@@ -13,7 +13,7 @@ from markupsafe import Markup
 from magiclens.analysis.as_made import made_picture
 from magiclens.config.suggest import unknown
 from magiclens.contract.errors import InputError
-from magiclens.report.tables import TableRow, format_bytes, metric_headlines
+from magiclens.report.tables import TableRow, format_bytes, metric_headlines, verdict_of_run
 from magiclens.running.folder import MANIFEST
 from magiclens.running.manifest import REFERENCE_RENDERER
 from magiclens.running.run_files import verified
@@ -41,7 +41,7 @@ _DOWNLOADS = {
     "heights.npz": "the surface, for programs",
 }
 """Descriptions of the files that can be downloaded, by the beginning of their path."""
-_HEADLINE_METRICS = {"slope_mean_deg": "mean slope", "step_max_mm": "highest step"}
+_HEADLINE_METRICS = {"as_made_psnr_db": "PSNR as made", "slope_mean_deg": "mean slope", "step_max_mm": "highest step"}
 """Labels of the metrics at the top of the page."""
 
 
@@ -94,6 +94,7 @@ class LensPage:
     films: Sequence[str]
     downloads: Sequence[Download]
     headlines: Sequence[TableRow]
+    verdict: str
     viewer: Markup
 
     @property
@@ -143,6 +144,7 @@ def lens_page(entry: GalleryEntry, folder: Path, viewer: str, album: Album, quic
         [path for path in paths if path.endswith(".mp4")],
         _downloads(manifest),
         _headlines(manifest),
+        _verdict(folder),
         Markup(viewer),
     )
 
@@ -240,6 +242,12 @@ def _downloads(manifest: dict[str, Any]) -> list[Download]:
     return [*found, Download(MANIFEST, "everything about the run, for programs", "")]
 
 
+def _verdict(folder: Path) -> str:
+    """The verdict as the run's preflight has it; empty if there is none."""
+    found = verdict_of_run(folder)
+    return str(found["text"]) if found else ""
+
+
 def _headlines(manifest: dict[str, Any]) -> list[TableRow]:
     """The few numbers at the top of the page."""
     scene, metrics = manifest["scene"], manifest["metrics"]
@@ -248,5 +256,5 @@ def _headlines(manifest: dict[str, Any]) -> list[TableRow]:
         key = _key("psnr_db", renderer)
         values = [view[key] for view in manifest["views"] if view.get(key) is not None]
         if values:
-            rows.append(TableRow(f"PSNR ({renderer})", f"{sum(values) / len(values):.1f} dB"))
+            rows.append(TableRow(f"PSNR as designed ({renderer})", f"{sum(values) / len(values):.1f} dB"))
     return rows + metric_headlines(metrics, _HEADLINE_METRICS)
