@@ -155,8 +155,9 @@ def _listener(compiling: Callable[[], None]) -> Any:
 
 def _start_child(specs: Sequence[Path], overrides: Sequence[str], parts: Sequence[str]) -> subprocess.Popen[str]:
     """A process that does ``compile_parts`` for specs; its standard output names the parts that are done."""
+    what = [str(os.getpid()), ",".join(parts), os.pathsep.join(map(str, specs)), *overrides]
     # -P: what lies in the folder that the user happens to be in, maybe another magiclens, is not what runs
-    command = [sys.executable, "-P", "-m", __name__, ",".join(parts), os.pathsep.join(map(str, specs)), *overrides]
+    command = [sys.executable, "-P", "-m", __name__, *what]
     # errors are of no interest: what the child has not compiled, the run compiles, and reports what is wrong
     nothing = subprocess.DEVNULL
     return subprocess.Popen(command, stdin=nothing, stdout=subprocess.PIPE, stderr=nothing, text=True)
@@ -255,18 +256,18 @@ _LATE = ("refine", "render", "inspect", "analyse")
 """What the child compiles, in the order in which a run needs it, the longest first."""
 
 
-def _end_with_parent() -> None:
+def _end_with(parent: int) -> None:
     """End this process soon after the one that started it, which may have been killed."""
 
-    def watch(parent: int) -> None:
+    def watch() -> None:
         while os.getppid() == parent:
             time.sleep(0.5)
         os._exit(1)
 
-    threading.Thread(target=watch, args=[os.getppid()], daemon=True).start()
+    threading.Thread(target=watch, daemon=True).start()
 
 
 if __name__ == "__main__":
-    _end_with_parent()
-    for path in sys.argv[2].split(os.pathsep):
-        compile_parts(sys.argv[1].split(","), Path(path), sys.argv[3:])
+    _end_with(int(sys.argv[1]))
+    for path in sys.argv[3].split(os.pathsep):
+        compile_parts(sys.argv[2].split(","), Path(path), sys.argv[4:])
