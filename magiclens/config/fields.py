@@ -78,12 +78,13 @@ def is_outside(path: Path, folder: Path) -> bool:
     return not path.resolve().is_relative_to(folder.resolve())
 
 
-def _picture(path: Path) -> Path:
-    from magiclens.images.files import read_image
+def readable_picture(path: Path) -> Path:
+    """The path of a picture that can be read and is not tiny. Raises ValueError for all others."""
+    from magiclens.images.files import check_not_tiny, read_image
 
     # read in full: a picture that is broken is then a mistake of the spec, with its line, and no run begins
     try:
-        read_image(path)
+        check_not_tiny(read_image(path))
     except InputError as error:
         raise ValueError(error.message) from None
     return path
@@ -108,7 +109,7 @@ InputFile = Annotated[
 ]
 """A file that exists: in a spec, a path relative to its folder; inside, an absolute path."""
 
-ImageFile = Annotated[InputFile, AfterValidator(_picture)]
+ImageFile = Annotated[InputFile, AfterValidator(readable_picture)]
 """A picture file that can be read."""
 
 ART_FORMAT = "magic-lens-art"

@@ -12,7 +12,8 @@ import numpy as np
 
 from magiclens.contract.artifacts import FloatArray, IntArray
 from magiclens.contract.errors import InputError
-from magiclens.images.colour import grey, to_display, to_linear
+from magiclens.images.colour import grey, luminance, to_display, to_linear
+from magiclens.images.extra_formats import heic_format, svg_image
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -23,6 +24,12 @@ MOST_PIXELS_VARIABLE = "MLENS_MOST_PIXELS"
 """The variable of the environment that allows larger pictures."""
 _MOST_PIXELS = 50_000_000
 """The most pixels of a picture, once it is padded to a square; some hundred megabytes in memory."""
+LEAST_PX = 32
+"""Least longer side of a picture that a lens can show or lie on."""
+_SHOWS = 0.1
+"""Difference of display values from the paper from which a pixel shows on it."""
+_LEAST_SHOWN = 0.005
+"""Share of a picture's opaque pixels that must show on white paper; below it, the picture lies on black."""
 _INTEGERS = ("I", "I;16", "I;16L", "I;16B", "I;16N")
 """Pillow's modes of grey pictures of more than 8 bits; it reads some 16-bit PNGs as 32-bit ``I``."""
 _BITS_PER_SAMPLE, _SAMPLE_FORMAT = 258, 339
@@ -30,7 +37,7 @@ _BITS_PER_SAMPLE, _SAMPLE_FORMAT = 258, 339
 
 
 def read_image(path: str | PathLike[str]) -> FloatArray:
-    """Read an image file; transparent pixels are composited over white paper.
+    """Read an image file; what is transparent shows white paper, or black where white would hide the picture.
 
     Values of 8, 16 and 32 bits, and floats from 0 to 1, are display values (sRGB).
 
@@ -40,12 +47,31 @@ def read_image(path: str | PathLike[str]) -> FloatArray:
     Raises:
         InputError: The file is missing, is not an image, holds several pictures, or is too large.
     """
+    light = _over_paper(_values_of(path))
+    return np.ascontiguousarray(grey(light), dtype=np.float32)
+
+
+def lies_on_black(path: str | PathLike[str]) -> bool:
+    """Whether ``read_image`` lays a picture that is transparent in places on black. Raises InputError like it."""
+    return _hidden_by_white(_values_of(path))
+
+
+def check_not_tiny(picture: FloatArray) -> None:
+    """Raise InputError for a picture (H, W, C) that has next to no detail to show."""
+    rows, columns = picture.shape[:2]
+    if max(rows, columns) < LEAST_PX:
+        raise InputError(
+            f"it has {columns} x {rows} pixels, too few to show anything: the longer side needs {LEAST_PX}"
+        )
+
+
+def _values_of(path: str | PathLike[str]) -> FloatArray:
+    """(H, W, C) float32 display values of a file, the last channel alpha when C = 2 or 4."""
     picture, tags = _decode(path)
     try:
-        light = _over_white(_display_values(picture, tags))
+        return _display_values(picture, tags)
     except InputError as error:
         raise InputError(f"the image file {str(path)!r} cannot be read: {error}") from None
-    return np.ascontiguousarray(grey(light), dtype=np.float32)
 
 
 def write_png(path: str | PathLike[str], linear: FloatArray, px_per_mm: float | None = None) -> None:
@@ -92,7 +118,7 @@ def open_picture(path: str | PathLike[str]) -> Image:
     from PIL import Image
 
     check_ordinary(path, "image file")
-    image = Image.open(path, formats=FORMATS)
+    image = svg_image(path) or Image.open(path, formats=(*FORMATS, *heic_format(path)))
     check_pixels(image.size, str(path))
     return image
 
@@ -141,9 +167,18 @@ def _integers(values: IntArray, tags: Mapping[int, Any]) -> FloatArray:
     return values.astype(np.float32) / np.float32(65535)
 
 
-def _over_white(values: FloatArray) -> FloatArray:
+def _over_paper(values: FloatArray) -> FloatArray:
     """Linear light of display values; alpha mixes light, so it acts after the sRGB curve."""
     if values.shape[-1] in (1, 3):
         return to_linear(values)
-    alpha = values[..., -1:]
-    return to_linear(values[..., :-1]) * alpha + (1 - alpha)
+    alpha, paper = values[..., -1:], 0.0 if _hidden_by_white(values) else 1.0
+    return to_linear(values[..., :-1]) * alpha + (1 - alpha) * np.float32(paper)
+
+
+def _hidden_by_white(values: FloatArray) -> bool:
+    """Whether nearly all that is opaque in a picture is as light as white paper: a white logo on nothing."""
+    if values.shape[-1] in (1, 3):
+        return False
+    opaque = values[..., -1] > 0.5
+    shades = to_display(luminance(to_linear(values[..., :-1])))[opaque]
+    return bool(len(shades) and not opaque.all() and (shades < 1 - _SHOWS).mean() < _LEAST_SHOWN)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 ByteArray = NDArray[np.uint8]
 """Pictures (H, W, C) of display values 0..255."""
 
-_PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".gif")
+_PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".gif", ".svg", ".heic")
 """Suffixes of files in a folder that count as its frames."""
 _ANIMATED = ("GIF", "PNG", "WEBP")
 """Pillow's names of formats that can hold several frames."""
@@ -74,6 +74,21 @@ def read_frames(path: str | PathLike[str]) -> Iterator[FloatArray]:
 def is_still(path: str | PathLike[str]) -> bool:
     """Whether a file is a single picture, not a movie or a folder. Raises InputError if it is missing or broken."""
     return not Path(path).is_dir() and _moves(Path(path)) is False
+
+
+def is_animated(path: str | PathLike[str]) -> bool:
+    """Whether a picture file has several frames; False for what is no picture. Raises InputError if it is broken."""
+    from PIL import UnidentifiedImageError
+
+    try:
+        with open_picture(path) as image:
+            return image.format in _ANIMATED and getattr(image, "n_frames", 1) > 1
+    except InputError:
+        raise
+    except UnidentifiedImageError:
+        return False
+    except Exception as error:  # decoders raise anything on broken files
+        raise _unreadable(Path(path), error) from error
 
 
 def frame_rate(path: str | PathLike[str]) -> float | None:

@@ -64,7 +64,7 @@ def check_words(words: str) -> None:
     """Raise ValueError if a text is empty or has letters that are not in the font."""
     from matplotlib.ft2font import FT2Font
 
-    font = FT2Font(str(_font_file()))
+    font = FT2Font(str(font_file()))
     letters = "".join(words.split())
     unknown = [letter for letter in letters if not font.get_char_index(ord(letter))]
     if unknown:
@@ -80,7 +80,7 @@ def check_box(box: Sequence[float]) -> None:
         raise ValueError("write left, top, right and bottom of a box inside the square, such as [10%, 10%, 90%, 50%]")
 
 
-def _font_file() -> Path:
+def font_file() -> Path:
     """The font that comes with matplotlib, so that text looks the same everywhere."""
     import matplotlib
 
@@ -99,7 +99,7 @@ def _word(letters: str) -> _Word:
     from matplotlib.textpath import TextToPath
     from matplotlib.transforms import Affine2D
 
-    vertices, codes = TextToPath().get_text_path(FontProperties(fname=_font_file()), letters)
+    vertices, codes = TextToPath().get_text_path(FontProperties(fname=font_file()), letters)
     if len(vertices) == 0:
         return _Word((), 0.0, 0.0, 0.0)
     per_em = TextToPath.FONT_SCALE * _FLATTENING

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from magiclens.contract.artifacts import BoolArray, FloatArray
 from magiclens.contract.errors import InputError
 from magiclens.images import luminance, read_image, resize, to_display
+from magiclens.images.files import check_not_tiny, lies_on_black
+from magiclens.images.movies import is_animated, read_frames
 from magiclens.images.resample import cropped_to_square, padded_to_square
 from magiclens.images.tones import toned
+
+Crop = Literal["auto", "centre", "fit"]
+"""How pictures are made square: as suits them, cut to their middle, or padded with white paper."""
 
 _SIDE_PX = 512
 """Side of the square to which a picture is resized before its strokes are measured."""
@@ -47,6 +53,8 @@ class Assessment:
         invert: Whether it is a light drawing on a dark ground.
         coloured: Whether it has colours.
         stroke: Mean width of what is drawn, as a share of the picture's width.
+        on_black: Whether it is transparent in places and lies on black, as white paper would hide it.
+        cropping: How it is made square.
     """
 
     path: Path
@@ -56,11 +64,14 @@ class Assessment:
     invert: bool
     coloured: bool
     stroke: float
+    on_black: bool = False
+    cropping: Crop = "auto"
 
     @property
     def crop(self) -> bool:
         """Whether to cut it to its middle square: a drawing can be centred on more white paper, a photograph cannot."""
-        return self.photograph and self.size[0] != self.size[1]
+        wanted = self.photograph if self.cropping == "auto" else self.cropping == "centre"
+        return wanted and self.size[0] != self.size[1]
 
     @property
     def fine(self) -> bool:
@@ -73,21 +84,34 @@ class Assessment:
         width, height = self.size
         kind = "a photograph, or like one: many tones between black and white" if self.photograph else "a drawing"
         found = [f"{self.path.name}: {width} x {height} pixels, {kind}."]
+        if self.on_black:
+            found.append("What is transparent is black: on white paper nothing of it would show.")
         if self.crop:
             found.append("It is cut to its middle square, so that no white bands appear beside it.")
-        if not self.photograph and width != height:
+        elif width != height:
             found.append("It is centred on white paper.")
         if self.levels:
             low, high = (f"{100 * level:.0f} %" for level in self.levels)
-            found.append(f"Its tones, from {low} to {high}, are spread to black and white: discs have nothing between.")
+            found.append(f"Its tones, from {low} to {high}, are spread to black and white.")
         if self.invert:
             found.append("It is light on dark; its negative has the white ground that the paper around the lens has.")
         return found
 
 
-def assess(path: Path) -> Assessment:
-    """Assess a picture file. Raises InputError if it cannot be read, or has nearly no contrast."""
-    picture = read_image(path)
+def assess(path: Path, crop: Crop = "auto", moving: bool = False) -> Assessment:
+    """Assess a picture file.
+
+    Args:
+        path: The file.
+        crop: How it is made square.
+        moving: Whether it may have several frames, of which the first is assessed.
+
+    Raises:
+        InputError: It cannot be read, is tiny, or has nearly no contrast.
+    """
+    animated = moving and is_animated(path)
+    picture = next(iter(read_frames(path))) if animated else read_image(path)
+    check_not_tiny(picture)
     shown = to_display(luminance(picture))
     low, high = (float(level) for level in np.percentile(shown, (1, 99)))
     if high - low < _LEAST_CONTRAST:
@@ -99,10 +123,12 @@ def assess(path: Path) -> Assessment:
     photograph = float(((tones > 0.15) & (tones < 0.85)).mean()) > _PHOTOGRAPH_SHARE
     invert = not photograph and float(np.median(_border(tones))) < _DARK_GROUND
     black, white = levels or (0.0, 1.0)
-    whole = (cropped_to_square if photograph else padded_to_square)(toned(picture, black, white, invert))
+    cut = photograph if crop == "auto" else crop == "centre"
+    whole = (cropped_to_square if cut else padded_to_square)(toned(picture, black, white, invert))
     small = resize(whole, (_SIDE_PX, _SIDE_PX))
     size = (picture.shape[1], picture.shape[0])
-    return Assessment(path, size, photograph, levels, invert, _colourful(picture), _stroke(_dark(small)))
+    on_black, stroke = not animated and lies_on_black(path), _stroke(_dark(small))
+    return Assessment(path, size, photograph, levels, invert, _colourful(picture), stroke, on_black, crop)
 
 
 def _percent(level: float) -> float:

@@ -54,6 +54,7 @@ class Layout:
         pipeline: The lines below the key ``pipeline``.
         source: Whether the user may give a source.
         questions: Whether the user may give questions.
+        moving: Whether a picture may have several frames.
     """
 
     title: str
@@ -64,6 +65,7 @@ class Layout:
     pipeline: Callable[[Request], list[str]]
     source: bool = True
     questions: bool = False
+    moving: bool = False
 
 
 def _target_options(assessment: Assessment) -> str:
@@ -306,6 +308,7 @@ LAYOUTS = {
     "universal-animation": Layout(
         "A lens for any picture, here for some frames", 1, 64,
         _animation, _universal_lens, _universal_pipeline,
+        moving=True,
     ),
     "question-answer": Layout(
         "Questions that turn into pictures", 1, 16,

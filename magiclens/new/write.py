@@ -10,13 +10,15 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast, get_args
 
 from magiclens.config.model import DEFAULT_SIZE
 from magiclens.config.suggest import unknown
 from magiclens.contract.errors import InputError
 from magiclens.contract.units import LENGTH
 from magiclens.images import read_image
-from magiclens.new.assess import assess
+from magiclens.images.files import check_not_tiny
+from magiclens.new.assess import Crop, assess
 from magiclens.new.layouts import LAYOUTS, Request
 from magiclens.new.palette import inks_for
 from magiclens.profiles.machines import machines, refused_machines
@@ -33,6 +35,7 @@ def new_spec(
     questions: Sequence[str] = (),
     made: tuple[str | None, str] = (None, DEFAULT_SIZE),
     force: bool = False,
+    crop: Crop = "auto",
 ) -> str:
     """Write a spec for a user's pictures.
 
@@ -44,6 +47,7 @@ def new_spec(
         questions: For question-answer, one per picture or none.
         made: Name of the machine, None if it is left open; the lens's side, with its unit.
         force: Whether to overwrite ``out`` if it exists.
+        crop: How pictures are made square.
 
     Returns:
         The text that was written; ``mlens check`` accepts it.
@@ -58,9 +62,10 @@ def new_spec(
     _check_out(out, force)
     files = _Files(out.parent)
     if source:
-        read_image(source)
-    assessed = tuple((files.path(path), assess(path)) for path in pictures)
-    inks = inks_for([found for _, found in assessed])
+        check_not_tiny(read_image(source))
+    moving = LAYOUTS[scenario].moving
+    assessed = tuple((files.path(path), assess(path, crop, moving)) for path in pictures)
+    inks = () if moving else inks_for([found for _, found in assessed])
     below = files.path(source) if source else None
     request = Request(assessed, below, tuple(questions), inks, *_checked(*made))
     text = _text(scenario, request, [path.name for path in pictures], out.name)
@@ -81,6 +86,14 @@ class _Files:
         except ValueError:  # on another drive
             found = file.absolute().as_posix()
         return found if re.fullmatch(r"[A-Za-z_.][\w./-]*", found, re.ASCII) else json.dumps(found, ensure_ascii=False)
+
+
+def crop_of(name: str) -> Crop:
+    """The way of making pictures square that has this name. Raises InputError if there is none."""
+    found = next((crop for crop in get_args(Crop) if crop == name), None)
+    if found is None:
+        raise InputError(unknown("way to crop", name, get_args(Crop)), "--crop")
+    return cast(Crop, found)
 
 
 def _check_request(scenario: str, pictures: int, source: bool, questions: int) -> None:

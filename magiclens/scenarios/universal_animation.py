@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from itertools import count, islice
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
-from pydantic import Field, ValidationInfo, model_validator
+from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
-from magiclens.config.fields import ImageFile, InputFile
+from magiclens.config.fields import ImageFile, InputFile, readable_picture
 from magiclens.config.model import Choice, Viewer
 from magiclens.contract.artifacts import BoolArray, FloatArray, Lens
 from magiclens.scenarios.base import Scenario, Shot
@@ -43,12 +43,31 @@ class Frame(Target):
         return f"{self.movie.name} frame {self.number}"
 
 
+def _readable(path: Path) -> Path:
+    from magiclens.contract.errors import InputError
+    from magiclens.images.movies import is_animated
+
+    try:
+        if is_animated(path):
+            _movie(path)
+            return path
+    except InputError as error:
+        raise ValueError(error.message) from None
+    return readable_picture(path)
+
+
+FramesFile = Annotated[InputFile, AfterValidator(_readable)]
+"""A picture file, still or animated."""
+
+
 class Frames(AdjustedPicture):
     """The pictures that the eye shall see in turn: a built-in loop, picture files, or a movie."""
 
     art: str | None = Field(None, description="name of a built-in loop, such as worm for worm-0, worm-1, ...")
     length: int | None = Field(None, ge=1, description="frames of the built-in loop; all of them by default")
-    images: list[ImageFile] | None = Field(None, min_length=1, description="picture files")
+    images: list[FramesFile] | None = Field(
+        None, min_length=1, description="picture files; an animated one stands for all of its frames"
+    )
     movie: InputFile | None = Field(None, description="a GIF or MP4 file")
 
     @model_validator(mode="after")
@@ -70,10 +89,21 @@ class Frames(AdjustedPicture):
         """One target per frame, in order; all are adjusted in the same way."""
         adjustments = self.model_dump(mode="json", include=set(AdjustedPicture.model_fields))
         if self.images:
-            return [Target(image=path, **adjustments) for path in self.images]
+            return [target for path in self.images for target in _targets(path, adjustments)]
         if self.movie:
-            return [Frame(movie=self.movie, number=k, **adjustments) for k in range(len(_movie(self.movie)))]
+            return _frames_of(self.movie, adjustments)
         return [Target(art=f"{self.art}-{k}", **adjustments) for k in range(self.length or 0)]
+
+
+def _targets(path: Path, adjustments: Mapping[str, Any]) -> list[Target]:
+    """What a picture file shows: itself, or its frames."""
+    from magiclens.images.movies import is_animated
+
+    return _frames_of(path, adjustments) if is_animated(path) else [Target(image=path, **adjustments)]
+
+
+def _frames_of(movie: Path, adjustments: Mapping[str, Any]) -> list[Target]:
+    return [Frame(movie=movie, number=k, **adjustments) for k in range(len(_movie(movie)))]
 
 
 class UniversalAnimation(Scenario):
