@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 import magiclens
-from magiclens.cli import cache, coupon, doctor, lens, many, new, plugins, run
+from magiclens.cli import cache, coupon, doctor, lens, many, new, plugins, run, studio
 
 app = typer.Typer(
     name="mlens",
@@ -40,6 +40,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "machined": lens.machined_command,
     "view": lens.view_command,
     "show": lens.show_command,
+    "studio": studio.studio_command,
     "coupon": coupon.coupon_command,
     "cache": cache.cache_command,
     "doctor": doctor.doctor_command,

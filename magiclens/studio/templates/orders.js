@@ -1,0 +1,134 @@
+// Pictures and the form: what the user wants.
+import { ask, complain, element, noComplaint, say } from "./server.js";
+
+const form = document.getElementById("order");
+const list = document.getElementById("pictures");
+const written = document.getElementById("written");
+const yaml = document.getElementById("yaml");
+let names = [];
+let chosen = [];
+
+export function showPictures(found) {
+  if (JSON.stringify(found) === JSON.stringify(names)) return;
+  names = found;
+  chosen = chosen.filter((name) => names.includes(name));
+  draw();
+}
+
+function draw() {
+  const focus = document.activeElement?.id;
+  list.replaceChildren(...names.map(item));
+  if (focus) document.getElementById(focus)?.focus();
+}
+
+function item(name) {
+  const box = element("input", { type: "checkbox", id: `choose-${name}`, checked: chosen.includes(name) });
+  box.addEventListener("change", () => {
+    chosen = box.checked ? [...chosen, name] : chosen.filter((other) => other !== name);
+    draw();
+  });
+  const remove = element("button", { type: "button", id: `delete-${name}`, ariaLabel: `Delete ${name}` }, "Delete");
+  remove.addEventListener("click", () => trying(() => ask("DELETE", `/api/pictures/${name}`)));
+  const place = chosen.includes(name) ? ` (${chosen.indexOf(name) + 1})` : "";
+  const picture = element("img", { src: `/pictures/${name}`, alt: "", loading: "lazy" });
+  return element("li", {}, element("label", {}, picture, box, ` ${name}${place}`), element("br"), remove);
+}
+
+async function trying(work) {
+  noComplaint();
+  try {
+    return await work();
+  } catch (error) {
+    complain(error);
+    return undefined;
+  }
+}
+
+async function add(files) {
+  noComplaint();
+  for (const file of files) {
+    say(`Adding ${file.name}`);
+    try {
+      const { name } = await ask("POST", `/api/pictures?name=${encodeURIComponent(file.name)}`, file);
+      if (!chosen.includes(name)) chosen.push(name);
+      if (!names.includes(name)) names = [...names, name].sort();
+      say(`${name} is added`);
+    } catch (error) {
+      say(`${file.name} is refused`);
+      complain(error);
+    }
+  }
+  draw();
+}
+
+function order() {
+  const values = new FormData(form);
+  const radio = form.querySelector("[name=scenario]:checked");
+  const [least, most] = [Number(radio.dataset.least), Number(radio.dataset.most)];
+  if (chosen.length < least || chosen.length > most) {
+    const many = least === most ? "one picture" : `${least} to ${most} pictures`;
+    throw `Choose ${many} above; ${chosen.length} chosen now.`;
+  }
+  return { scenario: radio.value, pictures: chosen, machine: values.get("machine") || null, size: values.get("size") };
+}
+
+async function queue(made) {
+  say("Checking");
+  const done = await trying(async () => ask("POST", "/api/jobs", made()));
+  say(done ? "The draft is queued" : "That cannot be designed: see the errors below the form");
+}
+
+async function copy() {
+  await trying(async () => {
+    const spec = await ask("POST", "/api/specs", order());
+    open(spec.yaml);
+    yaml.select();
+    try {
+      await navigator.clipboard.writeText(spec.yaml);
+      say("The YAML is copied");
+    } catch {
+      say("The YAML is selected: copy it with Ctrl-C");
+    }
+  });
+}
+
+function open(text) {
+  yaml.value = text;
+  written.hidden = false;
+  yaml.focus();
+}
+
+export function listen() {
+  const drop = document.getElementById("drop");
+  const files = document.getElementById("files");
+  files.addEventListener("change", async () => {
+    await add([...files.files]);
+    files.value = "";
+  });
+  for (const kind of ["dragover", "dragleave", "drop"]) {
+    document.addEventListener(kind, (event) => {
+      event.preventDefault();
+      drop.classList.toggle("over", kind === "dragover");
+      if (kind === "drop") add([...event.dataTransfer.files]);
+    });
+  }
+  document.addEventListener("paste", (event) => {
+    const pasted = [...event.clipboardData.files];
+    if (pasted.length) add(pasted);
+  });
+  form.addEventListener("submit", (event) => {
+    event.preventDefault();
+    queue(order);
+  });
+  document.getElementById("copy").addEventListener("click", copy);
+  const opened = document.getElementById("open");
+  opened.addEventListener("change", async () => {
+    open(await opened.files[0].text());
+    opened.value = "";
+  });
+  document.getElementById("run-yaml").addEventListener("click", () => queue(() => ({ yaml: yaml.value })));
+  document.getElementById("close").addEventListener("click", () => {
+    written.hidden = true;
+    document.getElementById("copy").focus();
+  });
+}

@@ -1,0 +1,140 @@
+"""The worker: runs one job at a time, each run a process of its own."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Sequence
+from typing import IO
+
+from magiclens.cache.folder import FOLDER_VARIABLE
+from magiclens.studio.orders import SPEC
+from magiclens.studio.store import StudioFolder
+
+_MLENS = (sys.executable, "-P", "-m", "magiclens")
+"""The command line; with ``-P`` nothing in a job's folder is taken for a module."""
+_PATIENCE_S = 10.0
+"""How long a process that was asked to end may take."""
+_MOST_WORDS = 2000
+"""Letters of a message that are kept."""
+
+
+class Worker:
+    """A thread that runs what waits, in the order of the jobs, and notes in their folders how it went.
+
+    What ran when the studio ended waits again: its results so far are in the cache, and the run goes on from there.
+    """
+
+    def __init__(self, store: StudioFolder, program: Sequence[str] = _MLENS):
+        self._store, self._program = store, program
+        self._wake = threading.Condition(store.lock)
+        self._thread = threading.Thread(target=self._work, name="studio-worker", daemon=True)
+        self._child: subprocess.Popen[str] | None = None
+        self._running: str | None = None
+        self._cancelled = self._ending = False
+
+    def start(self) -> None:
+        """Begin; what was running when the last studio ended waits again."""
+        for job in self._store.jobs():
+            if self._store.state(job)["state"] == "running":
+                self._store.change(job, state="waiting", said="")
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the process that runs, and the thread; the job goes on after a restart."""
+        with self._wake:
+            self._ending = True
+            self._wake.notify_all()
+        self._end_child()
+        self._thread.join(2 * _PATIENCE_S)
+
+    def ask(self, job: str, want: str) -> None:
+        """Queue a draft or the full design of a job that neither waits nor runs; it has no effect on others."""
+        with self._wake:
+            if self._store.state(job)["state"] not in ("waiting", "running"):
+                self._store.change(job, state="waiting", want=want, said="")
+            self._wake.notify_all()
+
+    def wake(self) -> None:
+        """Look for jobs that wait."""
+        with self._wake:
+            self._wake.notify_all()
+
+    def cancel(self, job: str) -> None:
+        """Stop a job that waits or runs; results that it has kept are used when it is asked for again."""
+        with self._wake:
+            running = job == self._running
+            if running:
+                self._cancelled = True
+            elif self._store.state(job)["state"] == "waiting":
+                self._store.change(job, state="cancelled", said="")
+        if running:
+            self._end_child()
+
+    def _work(self) -> None:
+        while True:
+            with self._wake:
+                while not self._ending and (job := self._next()) is None:
+                    self._wake.wait()
+                if self._ending:
+                    return
+                assert job is not None
+                self._running, self._cancelled = job, False
+                self._store.change(job, state="running", said="starting", done=0)
+            self._run(job)
+
+    def _next(self) -> str | None:
+        return next((job for job in self._store.jobs() if self._store.state(job)["state"] == "waiting"), None)
+
+    def _run(self, job: str) -> None:
+        state = self._store.state(job)
+        want = state["want"]
+        settings = [word for value in state["draft"] for word in ("--set", value)] if want == "draft" else []
+        code, last = self._command(job, "run", SPEC, "--out", want, "--sandbox", *settings)
+        if code == 0:
+            code, last = self._command(job, "view", want, "--no-open")
+        with self._wake:
+            self._running = None
+            if not self._ending:
+                ended = "cancelled" if self._cancelled else "done" if code == 0 else "failed"
+                self._store.change(job, state=ended, said=last[:_MOST_WORDS] if ended == "failed" else "")
+
+    def _command(self, job: str, *arguments: str) -> tuple[int, str]:
+        """Exit code and last line of ``mlens`` in the job's folder."""
+        with self._wake:
+            if self._cancelled or self._ending:
+                return 1, ""
+            self._child = child = subprocess.Popen(
+                [*self._program, *arguments],
+                cwd=self._store.root / "jobs" / job,
+                env=os.environ | {FOLDER_VARIABLE: str(self._store.root / "cache")},
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
+                text=True,
+                errors="replace",
+                start_new_session=True,  # Ctrl-C ends the studio, which ends the run in its own time
+            )
+        assert child.stderr
+        last = self._listen(job, child.stderr)
+        child.stderr.close()
+        return child.wait(), last
+
+    def _listen(self, job: str, lines: IO[str]) -> str:
+        """Note each line that a run prints as its progress; the last one, without a folder's path."""
+        last, root = "", f"{self._store.root / 'jobs' / job}/"
+        for done, line in enumerate(lines, 1):
+            last = line.strip().replace(root, "") or last
+            self._store.change(job, said=last[:_MOST_WORDS], done=done)
+        return last
+
+    def _end_child(self) -> None:
+        child = self._child
+        if child and child.poll() is None:
+            child.terminate()
+            try:
+                child.wait(_PATIENCE_S)
+            except subprocess.TimeoutExpired:
+                child.kill()
