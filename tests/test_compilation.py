@@ -8,9 +8,13 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from numba import njit
+from numba.core.dispatcher import Dispatcher
 
+from magiclens.analysis.stable_zone import seen_from
+from magiclens.analysis.tolerances import tolerances
 from magiclens.plan.compile import load_plan
 from magiclens.running import compilation
 from magiclens.running.compilation import compiling_ahead, small_scene
@@ -91,6 +95,30 @@ def test_no_part_fails_on_the_small_lens(part: str, spec: Path) -> None:
     """A failure is not reported, so nobody would see that kernels are no longer compiled ahead."""
     plan = load_plan(spec)
     compilation._PARTS[part](plan, small_scene(plan))
+
+
+def test_analyses_that_are_left_out_compile_nothing(spec: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They only trace; what rendering has compiled is enough for them."""
+    for constant in ("RESOLUTION", "_MAP_RESOLUTION"):
+        monkeypatch.setattr(f"magiclens.analysis.tolerances.{constant}", 16)
+    monkeypatch.setattr("magiclens.analysis.stable_zone.RESOLUTION", 16)
+    plan = load_plan(spec)
+    scene = small_scene(plan)
+    compilation._PARTS["render"](plan, scene)
+    before = compiled()
+    assert before
+    tolerances(scene, compilation._solid(scene))
+    seen_from(scene, compilation._solid(scene), np.array([5.0, 0.0, 0.0]))
+    assert compiled() == before
+    compilation._PARTS["inspect"](plan, scene)
+    assert compiled() != before
+
+
+def compiled() -> set[tuple[str, str]]:
+    """Kernels of magiclens that this process has ready, each with its arguments' types."""
+    modules = [module for name, module in sys.modules.items() if name.startswith("magiclens.")]
+    kernels = [thing for module in modules for thing in vars(module).values() if isinstance(thing, Dispatcher)]
+    return {(str(kernel.py_func), str(types)) for kernel in kernels for types in kernel.signatures}
 
 
 @pytest.mark.parametrize("text", compilation._SPECS)

@@ -44,6 +44,8 @@ _SPECS = tuple(
     )
 )
 """One spec for every matcher, and so for all kernels that a design may need; their pictures take little time."""
+_TRACING = ("stable-zone", "tolerances")
+"""Analyses that have no kernels of their own: they trace many pictures, and ``render`` has compiled the tracer."""
 _SIDE = 2
 """Facets along one side of the small lens: some kernels run only between facets."""
 
@@ -234,6 +236,8 @@ def _analyse(plan: Plan, scene: Scene) -> None:
         unfinished=solid, solid=solid, renders={}, manifest={"metrics": {}},
     )  # fmt: skip
     for planned in plan.analyses:
+        if planned.analysis.name in _TRACING:
+            continue
         # each for itself: one that fails on so small a lens must not keep the next from being compiled
         with suppress(Exception):
             findings = planned.analysis.compute(plan, result)
