@@ -115,7 +115,7 @@ def test_durations_have_one_digit() -> None:
 
 @pytest.mark.tools
 @pytest.mark.parametrize(
-    "settings", [["lens.facets=16"], ["lens.facets=16", "lens.microfacets=64", "pipeline.integrator.refinement=1"]]
+    "settings", [["lens.facets=8"], ["lens.facets=16", "lens.microfacets=64", "pipeline.integrator.refinement=1"]]
 )
 def test_the_estimate_is_not_far_from_what_a_run_takes(settings: list[str], tmp_path: Path) -> None:
     spec, settings = SPECS / "single.yaml", [*settings, "pipeline.renderers=[{type: tracer}]"]
