@@ -12,7 +12,8 @@ import pytest
 from playwright.sync_api import Browser
 
 from browsers import chromium
-from lenses import Lenses
+from lenses import CACHE_BYTES, RECIPES, Lenses
+from magiclens.cache.store import Cache
 from magiclens.cli.doctor import examine
 from magiclens.kernels.cache_folder import cache_folder
 from magiclens.plan.registry import Registry
@@ -66,10 +67,11 @@ def browser() -> Iterator[Browser]:
 
 
 @pytest.fixture(scope="session")
-def lenses(tmp_path_factory: pytest.TempPathFactory) -> Lenses:
-    """Small lenses, each designed once for all processes of the session."""
+def lenses(tmp_path_factory: pytest.TempPathFactory, pytestconfig: pytest.Config) -> Lenses:
+    """Small lenses, each designed once for all processes of the session; ``--cache-clear`` forgets earlier sessions."""
     own = tmp_path_factory.getbasetemp()
-    return Lenses((own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "lenses")
+    kept = Cache(pytestconfig.cache.mkdir(f"lenses-{RECIPES}"), CACHE_BYTES) if pytestconfig.cache else None
+    return Lenses((own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "lenses", kept)
 
 
 @pytest.fixture

@@ -1,4 +1,7 @@
-"""Real lenses, small ones, each designed once in a test session, whichever file and process asks for it first."""
+"""Real lenses, small ones, each designed once, whichever file and process asks for it first.
+
+Sessions share the results of stages as runs of users do: what the sources do not change is not designed again.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from magiclens import Run, run_spec
+from magiclens import Run, load_plan
+from magiclens.cache.store import Cache
+from magiclens.running.pipeline import run_plan
 
 SPECS = Path(__file__).parent.parent / "specs"
 SHIPPED = sorted(path.stem for path in SPECS.glob("*.yaml"))
@@ -67,15 +72,26 @@ SMALL: dict[str, tuple[str, ...]] = {
 """By shipped spec: what it has of its own, besides ``FEW``."""
 COARSE = {"magiclens.rendering.transports.LEAST_RESOLUTION": 192, "magiclens.analysis.stable_zone.RESOLUTION": 48}
 """Sides of pictures, in pixels, that are enough for small lenses."""
+RECIPES = sha256(Path(__file__).read_bytes()).hexdigest()[:16]
+"""Another one, once this file says other sizes: the cache does not know of those in ``COARSE``."""
+CACHE_BYTES = 10**9
+"""How much room results of earlier sessions may take."""
 PATIENCE_S = 600
 """How long a process waits for a lens that another one designs."""
 
 
 @dataclass
 class Lenses:
-    """Designs lenses into a folder that the session's processes share. Nothing in it may be changed."""
+    """Designs lenses into a folder that the session's processes share. Nothing in it may be changed.
+
+    Attributes:
+        folder: Where they are.
+        cache: What sessions have in common; None designs everything anew.
+        known: The lenses that this process has asked for.
+    """
 
     folder: Path
+    cache: Cache | None = None
     known: dict[str, Run] = field(default_factory=dict)
 
     def shipped(self, name: str, *overrides: str) -> Run:
@@ -87,11 +103,11 @@ class Lenses:
         """The lens of a spec."""
         key = sha256(repr((text, overrides)).encode()).hexdigest()[:16]
         if key not in self.known:
-            self.known[key] = _shared(self.folder / key, text, overrides)
+            self.known[key] = _shared(self.folder / key, text, overrides, self.cache)
         return self.known[key]
 
 
-def _shared(folder: Path, text: str, overrides: tuple[str, ...]) -> Run:
+def _shared(folder: Path, text: str, overrides: tuple[str, ...], cache: Cache | None) -> Run:
     """The process that succeeds in making the lens's folder designs it; the others wait for it."""
     kept = folder / "run.pickle"
     try:
@@ -103,7 +119,7 @@ def _shared(folder: Path, text: str, overrides: tuple[str, ...]) -> Run:
         with pytest.MonkeyPatch.context() as patch:
             for constant, pixels in COARSE.items():
                 patch.setattr(constant, pixels)
-            run = run_spec(folder / "spec.yaml", folder / "out", overrides)
+            run = run_plan(load_plan(folder / "spec.yaml", overrides), folder / "out", cache=cache)
         run = replace(run, result=replace(run.result, redesign=None))
         (folder / "unfinished").write_bytes(pickle.dumps(run))
     except BaseException:

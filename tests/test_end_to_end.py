@@ -73,7 +73,8 @@ def test_the_exported_mesh_is_a_solid_of_the_right_size(rotating: Run) -> None:
 
 
 def test_the_run_folders_own_spec_gives_the_same_bytes_again(rotating: Run, lenses: Lenses) -> None:
-    again = lenses.designed((rotating.folder / "spec.yaml").read_text(encoding="utf-8")).folder
+    anew = Lenses(lenses.folder)
+    again = anew.designed((rotating.folder / "spec.yaml").read_text(encoding="utf-8")).folder
     for path in rotating.folder.rglob("*"):
         if path.is_file() and path.name != "manifest.json":
             assert path.read_bytes() == (again / path.relative_to(rotating.folder)).read_bytes(), path.name
