@@ -17,7 +17,7 @@ from coupons import Truth, made_coupon, path_traced, traced, write_photograph
 from magiclens.cli import app
 from magiclens.contract.errors import InputError
 from magiclens.coupon import fit
-from magiclens.coupon.fit import Estimate, Reading
+from magiclens.coupon.fit import Fitted, Reading
 from magiclens.coupon.photograph import _stated_focal, read_photograph
 from magiclens.coupon.shape import coupon_solid, printing_minutes
 from magiclens.coupon.sheet import SHEET_PX_PER_MM, marker_corners, sheet_picture
@@ -111,8 +111,8 @@ def test_a_photograph_by_the_built_in_tracer_is_understood(tmp_path: Path) -> No
 
 
 def test_what_is_read_is_what_a_spec_takes() -> None:
-    number = Estimate(0.0, 0.0)
-    found = Reading(Estimate(0.0497, 3e-4), Estimate(0.501, 1e-3), Estimate(1.5347, 5e-4), number, 280.0, 0.04)
+    number = Fitted(0.0, 0.0)
+    found = Reading(Fitted(0.0497, 3e-4), Fitted(0.501, 1e-3), Fitted(1.5347, 5e-4), number, 280.0, 0.04)
     text = found.as_text("sla")
     lines = [line for line in text.splitlines() if line.startswith(("fabrication:", "lens:"))]
     spec = "scenario: {type: single, source: {type: circles}, target: {art: heart}}\n" + "\n".join(lines)

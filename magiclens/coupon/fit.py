@@ -35,7 +35,7 @@ _BLOCK_PX = 16
 
 
 @dataclass(frozen=True)
-class Estimate:
+class Fitted:
     """A number and its standard error."""
 
     value: float
@@ -55,10 +55,10 @@ class Reading:
         misfit: Root mean square of what is left unexplained, as a share of the sheet's contrast.
     """
 
-    spread: Estimate
-    levelling: Estimate | None
-    ior: Estimate
-    gap: Estimate
+    spread: Fitted
+    levelling: Fitted | None
+    ior: Fitted
+    gap: Fitted
     distance: float
     misfit: float
 
@@ -215,9 +215,9 @@ class _Fit:
         levelling = at.fourth**0.25
         return Reading(
             # the variance has the error 2 s ds, the fourth power 4 l^3 dl
-            Estimate(spread, errors["variance"] / (2 * max(spread, 1e-3))),
-            Estimate(levelling, errors["fourth"] / (4 * levelling**3)) if at.fourth else None,
-            Estimate(at.ior, errors["ior"]), Estimate(at.gap, errors["gap"]),
+            Fitted(spread, errors["variance"] / (2 * max(spread, 1e-3))),
+            Fitted(levelling, errors["fourth"] / (4 * levelling**3)) if at.fourth else None,
+            Fitted(at.ior, errors["ior"]), Fitted(at.gap, errors["gap"]),
             at.camera_z, self.misfit(at),
         )  # fmt: skip
 
