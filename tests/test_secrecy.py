@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from magiclens.analysis.secrecy import secrecy, tile_likeness
+from magiclens.analysis.secrecy import secrecy, secrecy_word, shown_in_sheet, tile_likeness
 from magiclens.contract.artifacts import Assignment, Lens, Scene, View
 from magiclens.images.art import ART
 from magiclens.matching.key_size import key_size_bits
@@ -69,3 +69,32 @@ def test_a_source_unlike_its_target_has_a_low_score(rng: np.random.Generator) ->
     assert near["stealth_ssim"] > far["stealth_ssim"] + 0.2
     assert near["tile_leakage"] > 0.95
     assert far["tile_leakage"] == pytest.approx(far["tile_leakage_by_chance"], abs=0.1)
+
+
+def scattered(picture: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """The picture's tiles of 8 x 8 pixels in another order."""
+    n = len(picture) // 8
+    tiles = picture.reshape(n, 8, n, 8, 1).swapaxes(1, 2).reshape(n * n, 8, 8, 1)[rng.permutation(n * n)]
+    return tiles.reshape(n, n, 8, 8, 1).swapaxes(1, 2).reshape(picture.shape)
+
+
+def test_how_much_shows_without_the_lens_has_a_word(rng: np.random.Generator) -> None:
+    lens, panda = Lens(size_mm=50, source_size_mm=50, facets=16), ART["panda"](320)
+    noise = scattered(panda, rng)
+    sheets = {"plain": panda, "hidden": noise, "guessable": 0.1 * panda + 0.9 * noise}
+    words = {name: secrecy_word(shown_in_sheet(sheet, panda, lens)) for name, sheet in sheets.items()}
+    assert words == {name: name for name in sheets}
+
+
+def test_a_negative_shows_the_picture_too_and_a_pale_copy() -> None:
+    lens, panda = Lens(size_mm=50, source_size_mm=50, facets=16), ART["panda"](320)
+    assert secrecy_word(shown_in_sheet(1 - panda, panda, lens)) == "plain"
+    assert secrecy_word(shown_in_sheet(0.7 + 0.3 * panda, panda, lens)) == "plain"
+
+
+def test_only_the_sheet_below_the_lens_is_compared() -> None:
+    lens, panda = Lens(size_mm=50, source_size_mm=100, facets=16), ART["panda"](320)
+    sheet = np.ones((640, 640, 1), np.float32)
+    sheet[160:480, 160:480] = panda
+    assert shown_in_sheet(sheet, panda, lens) > 0.95
+    assert shown_in_sheet(np.ones_like(sheet), panda, lens) < 0.01

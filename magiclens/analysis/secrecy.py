@@ -19,6 +19,10 @@ _PIXELS = 16
 _SAMPLES = 3
 """Samples of the source per side of such a pixel."""
 _SIDE = 400
+_GUESSABLE, _PLAIN = 0.3, 0.6
+"""Structure of a picture in its sheet from which it can be guessed, and from which it lies open."""
+_UNEVEN = 0.03**2
+"""Variance of display values that the eye takes for even, as in SSIM."""
 
 
 @dataclass(frozen=True)
@@ -30,12 +34,14 @@ class Secrecy:
         ssim: Of the sources against their targets.
         tiles: (N, N) likeness, 0 to 1, of each tile of the target and the patch that its facet shows.
         chance: The mean likeness of tiles and other facets' patches.
+        shown: How much of the targets shows in the sources without the lens, see ``shown_in_sheet``; of the worst view.
     """
 
     psnr_db: float
     ssim: float
     tiles: FloatArray
     chance: float
+    shown: float
 
     @property
     def metrics(self) -> dict[str, float]:
@@ -45,6 +51,7 @@ class Secrecy:
             "stealth_ssim": self.ssim,
             "tile_leakage": float(self.tiles.mean()),
             "tile_leakage_by_chance": self.chance,
+            "shown_in_sheet": self.shown,
         }
 
 
@@ -55,9 +62,44 @@ def secrecy(scene: Scene, assignment: Assignment) -> Secrecy:
     whole = [score(view.source, view.target) for view in scene.views]
     own = np.mean([tile_likeness(scene.lens, assignment, view) for view in scene.views], axis=0)
     chance = np.mean([tile_likeness(scene.lens, assignment, view, shift=1) for view in scene.views])
-    return Secrecy(
-        float(np.mean([s.psnr_db for s in whole])), float(np.mean([s.ssim for s in whole])), own, float(chance)
-    )
+    shown = max(shown_in_sheet(view.source, view.target, scene.lens) for view in scene.views)
+    psnr_db, ssim = (float(np.mean(values)) for values in ([s.psnr_db for s in whole], [s.ssim for s in whole]))
+    return Secrecy(psnr_db, ssim, own, float(chance), shown)
+
+
+def shown_in_sheet(sheet: FloatArray, picture: FloatArray, lens: Lens) -> float:
+    """How much of a picture somebody sees in the sheet alone: 0 for nothing, 1 for all, or for all of its negative.
+
+    It is the structural term of SSIM of the sheet below the lens and the picture, tile by tile of the lens; tiles count
+    by the picture's contrast. Tiles as a whole, lighter and darker ones, are compared likewise; the larger counts.
+
+    Args:
+        sheet: (H, W, C) linear light, over the whole source.
+        picture: (h, w, C) linear light, over the lens.
+        lens: The lens.
+    """
+    from magiclens.images import luminance, resize, to_display
+
+    n, edge = lens.facets, round(len(sheet) * (1 - lens.size_mm / lens.source_size_mm) / 2)
+    below = sheet[edge : len(sheet) - edge, edge : len(sheet) - edge]
+    seen, wanted = (to_display(luminance(resize(p, (n * _PIXELS,) * 2))).astype(float) for p in (below, picture))
+    seen, wanted = (p.reshape(n, _PIXELS, n, _PIXELS).swapaxes(1, 2).reshape(n * n, -1) for p in (seen, wanted))
+    structure, contrast = _structure(seen, wanted)
+    means, _ = _structure(seen.mean(axis=1)[None], wanted.mean(axis=1)[None])
+    return float(max(np.average(structure, weights=contrast), means[0]))
+
+
+def secrecy_word(shown: float) -> str:
+    """The word for ``shown_in_sheet``: hidden, guessable or plain."""
+    return "hidden" if shown < _GUESSABLE else "guessable" if shown < _PLAIN else "plain"
+
+
+def _structure(seen: FloatArray, wanted: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(T,) how far pixels of tiles (T, P) rise and fall together or oppositely, 0 to 1, and (T,) contrast wanted."""
+    a, b = (tiles - tiles.mean(axis=1, keepdims=True) for tiles in (seen, wanted))
+    spread = np.sqrt((a**2).mean(axis=1) * (b**2).mean(axis=1))
+    structure: FloatArray = abs((a * b).mean(axis=1)) / (spread + _UNEVEN)
+    return structure, np.sqrt((b**2).mean(axis=1) + 1e-12)
 
 
 def tile_likeness(lens: Lens, assignment: Assignment, view: View, shift: int = 0) -> FloatArray:
@@ -102,7 +144,7 @@ def secrecy_map(result: RunResult, found: Secrecy) -> Figure:
     facet = np.arange(_SIDE) * len(found.tiles) // _SIDE
     bits = result.manifest["metrics"].get("permutation_bits")
     key_size = f"; about 2^{bits:.0f} lenses of this kind exist" if bits else ""
-    of_target = f"PSNR {found.psnr_db:.1f} dB, SSIM {found.ssim:.2f} of the target"
+    of_target = f"{secrecy_word(found.shown)}: {found.shown:.2f} of the target shows without the lens"
     row = [
         Tile(to_pixels(view.source, _SIDE), "Source", of_target),
         Tile(to_pixels(view.target, _SIDE), "Target", view.name),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from magiclens.cli.common import AsJson, Quiet, RunFolder, Traceback, print_result, reporting
+from magiclens.cli.common import AsJson, Quiet, RunFolder, Traceback, print_note, print_result, reporting
 
 if TYPE_CHECKING:
     from magiclens.running.open_run import OpenRun
@@ -40,13 +40,16 @@ def encode_command(
     machine: _MachineName = None,
     traceback: Traceback = False,
 ) -> None:
-    """Paint the source that shows PICTURES through the universal lens of RUN_DIR."""
+    """Paint the source that shows PICTURES through the universal lens of RUN_DIR, and say how much shows without it."""
     with reporting(traceback):
+        from magiclens.analysis.secrecy import secrecy_word
         from magiclens.running.convert import convert_pictures
 
         lens = _opened(run_dir, machine)
         px_per_mm = len(lens.view(view).source) / lens.plan.lens.source_size_mm
-        typer.echo(convert_pictures(lambda frames: lens.encode(frames, view), pictures, out, px_per_mm))
+        shown: list[float] = []
+        typer.echo(convert_pictures(lambda frames: lens.encode(frames, view, shown.append), pictures, out, px_per_mm))
+        print_note(f"without the lens the picture is {secrecy_word(max(shown))}: {max(shown):.2f} of it shows")
 
 
 def decode_command(

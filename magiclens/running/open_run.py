@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice
@@ -122,12 +122,18 @@ class OpenRun:
     def _transports(self) -> dict[str, Transport]:
         return {}
 
-    def encode(self, frames: Iterable[FloatArray], name: str | None = None) -> Iterator[FloatArray]:
+    def encode(
+        self,
+        frames: Iterable[FloatArray],
+        name: str | None = None,
+        shown: Callable[[float], object] = lambda share: None,
+    ) -> Iterator[FloatArray]:
         """Sources that show these frames to a view's eye.
 
         Args:
             frames: (h, w, C) linear light, C = 1 or 3; each is padded to a square with white paper.
             name: The view, the first one by default.
+            shown: Is told of every source how much of its frame shows without the lens, see ``shown_in_sheet``.
 
         Returns:
             One source (H, W, C) float32 per frame, linear light.
@@ -135,6 +141,8 @@ class OpenRun:
         Raises:
             InputError: The lens has no encoder, since it was designed for the sources it has, or no such view.
         """
+        from magiclens.analysis.secrecy import shown_in_sheet
+
         step, view = self.plan.encoder, self.view(name)
         if step is None:
             raise InputError("this lens was designed for its source and has no encoder; use a universal lens")
@@ -147,7 +155,9 @@ class OpenRun:
             scene = replace(self.scene, views=views)
             with blaming(str(step)):
                 painted = step.stage.encode(scene, [transport] * len(views), rng)
-            yield from (v.source for v in painted.views)
+            for each in painted.views:
+                shown(shown_in_sheet(each.source, each.target, self.plan.lens))
+                yield each.source
 
     def decode(self, sources: Iterable[FloatArray], name: str | None = None) -> Iterator[FloatArray]:
         """Pictures that a view's eye sees of these sources.
