@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 
@@ -64,7 +65,8 @@ def test_an_animation_comes_with_its_movies(run: Run) -> None:
 def test_another_picture_is_encoded_and_decoded(run: Run, tmp_path: Path) -> None:
     target = ART["heart"](256)
     write_png(tmp_path / "heart.png", target)
-    invoke("encode", run.folder, tmp_path / "heart.png", "-o", tmp_path / "source.png")
+    said = invoke("encode", run.folder, tmp_path / "heart.png", "-o", tmp_path / "source.png")
+    assert re.search(r"without the lens the picture is guessable: 0\.\d\d of it shows", said)
     invoke("decode", run.folder, tmp_path / "source.png", "-o", tmp_path / "seen.png")
     source, seen = read_image(tmp_path / "source.png"), read_image(tmp_path / "seen.png")
     assert source.shape[:2] == run.result.scene.views[0].source.shape[:2]

@@ -71,7 +71,7 @@ def shown_in_sheet(sheet: FloatArray, picture: FloatArray, lens: Lens) -> float:
     """How much of a picture somebody sees in the sheet alone: 0 for nothing, 1 for all, or for all of its negative.
 
     It is the structural term of SSIM of the sheet below the lens and the picture, tile by tile of the lens; tiles count
-    by the picture's contrast. Tiles as a whole, lighter and darker ones, are compared likewise; the larger counts.
+    by the picture's contrast. Tiles as a whole, lighter and darker ones, are compared likewise and count half.
 
     Args:
         sheet: (H, W, C) linear light, over the whole source.
@@ -86,7 +86,8 @@ def shown_in_sheet(sheet: FloatArray, picture: FloatArray, lens: Lens) -> float:
     seen, wanted = (p.reshape(n, _PIXELS, n, _PIXELS).swapaxes(1, 2).reshape(n * n, -1) for p in (seen, wanted))
     structure, contrast = _structure(seen, wanted)
     means, _ = _structure(seen.mean(axis=1)[None], wanted.mean(axis=1)[None])
-    return float(max(np.average(structure, weights=contrast), means[0]))
+    # half: coarse shades tell where the picture is dark, and not what it is
+    return float((np.average(structure, weights=contrast) + means[0]) / 2)
 
 
 def secrecy_word(shown: float) -> str:
