@@ -7,9 +7,10 @@ import json
 import re
 import socket
 from collections.abc import AsyncIterator, Callable, Sequence
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from functools import partial
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import uvicorn
@@ -79,7 +80,7 @@ class Studio:
 
     async def _changes(self) -> AsyncIterator[str]:
         seen = None
-        while True:
+        while not self._store.closing:
             if seen != self._store.version:
                 seen = self._store.version
                 yield f"data: {json.dumps(await run_in_threadpool(self._state))}\n\n"
@@ -202,6 +203,18 @@ def studio_app(store: StudioFolder, worker: Worker, door: Door) -> Starlette:
     )
 
 
+class _Server(uvicorn.Server):
+    """A server that ends its streams when it is told to end, as it waits for them."""
+
+    def __init__(self, config: uvicorn.Config, store: StudioFolder):
+        super().__init__(config)
+        self._store = store
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        self._store.closing = True
+        super().handle_exit(sig, frame)
+
+
 def serve_studio(folder: Path, port: int, origins: Sequence[str], shown: Callable[[str], None]) -> None:
     """Serve the studio until it is interrupted.
 
@@ -223,7 +236,8 @@ def serve_studio(folder: Path, port: int, origins: Sequence[str], shown: Callabl
             app, log_level="warning", access_log=False, timeout_graceful_shutdown=1, ws="none", proxy_headers=False
         )
         shown(door.address)
-        uvicorn.Server(config).run(sockets=[listener])
+        with suppress(KeyboardInterrupt):  # the usual end
+            _Server(config, store).run(sockets=[listener])
 
 
 def _check_origins(origins: Sequence[str]) -> None:

@@ -32,12 +32,14 @@ class StudioFolder:
         root: The folder, made if it is not there.
         lock: Held while anything in the folder changes.
         version: Grows with every change, so that pages know when to look again.
+        closing: Whether the server is about to end, so that streams of changes end.
     """
 
     def __init__(self, root: Path):
         self.root = root.absolute()
         self.lock = threading.RLock()
         self.version = 0
+        self.closing = False
         self._decoding = threading.Lock()
         for name in ("pictures", "jobs", "cache"):
             (self.root / name).mkdir(parents=True, exist_ok=True)
