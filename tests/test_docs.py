@@ -259,7 +259,7 @@ def test_anchors_are_as_on_hosts_of_markdown() -> None:
 def test_options_are_told_in_words_with_units_and_limits() -> None:
     rows = {row[0]: row for row in model_tables(LensSpec)[0].rows}
     assert rows["`size`"] == ("`size`", "length", "`100mm`", "side of the square lens")
-    assert rows["`facets`"][1] == "whole number, ≥ 1, ≤ 1024"
+    assert rows["`facets`"][1] == "whole number, ≥ 1, ≤ 1024 or `auto`"
     assert rows["`cells`"][1] == "`eye` or `vertical`"
     assert value_kind({"type": "array", "items": {"type": "number"}}) == "list of number"
 
