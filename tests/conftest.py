@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -29,6 +30,11 @@ hypothesis.settings.load_profile("suite")
 
 os.environ["MLENS_CACHE_SIZE"] = "0"
 """Tests see every stage run, and leave the user's cache alone; those about the cache have one of their own."""
+
+
+def pytest_configure() -> None:
+    # a shell's background jobs ignore Ctrl-C, and so would all that tests start
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:

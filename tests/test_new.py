@@ -300,11 +300,11 @@ def test_the_middle_of_a_picture_is_square() -> None:
 
 
 def test_padding_around_a_negative_is_white(save: Saver) -> None:
-    path = save(np.zeros((10, 30, 1)))
+    path = save(np.zeros((20, 60, 1)))
     shown = Target(image=path, invert=True).raster({})
-    assert shown.shape == (30, 30, 1)
+    assert shown.shape == (60, 60, 1)
     assert shown.min() == 1
-    assert Target(image=path).raster({})[15].max() == 0
+    assert Target(image=path).raster({})[30].max() == 0
 
 
 @pytest.mark.parametrize("levels", [["50%", "50%"], ["90%", "10%"], ["0%", "101%"], ["10%"]])

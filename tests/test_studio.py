@@ -197,7 +197,7 @@ HOSTILE = {
     "nothing": b"",
     "text": b"hello",
     "page": b"<script>alert(1)</script>",
-    "vector": b"<svg xmlns='http://www.w3.org/2000/svg'/>",
+    "vector": b"<svg xmlns='http://www.w3.org/2000/svg' width='40' height='40'><image href='/etc/hostname'/></svg>",
     "postscript": b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 1 1\n",
     "cut off": png()[:80],
     "bomb": png()[:16] + (60_000).to_bytes(4, "big") * 2 + png()[24:],

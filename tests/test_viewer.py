@@ -152,7 +152,7 @@ def test_rough_heights_are_packed_more_coarsely_when_there_is_little_room() -> N
 def test_polynomials_are_orthonormal_to_the_highest_degree() -> None:
     basis = orthonormal_polynomials(61)
     np.testing.assert_allclose(basis @ basis.T, np.eye(61), atol=1e-12)
-    assert (basis[:, -1] > 0).all()
+    assert (basis[:, -1] > -1e-15).all()  # the last ones are 0, but for rounding
 
 
 @pytest.mark.parametrize("gap", [0.0, 100.0])

@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 from zipfile import ZipFile
 
 import numpy as np
@@ -30,6 +30,10 @@ _MOST_LAYERS = 10**5
 """Most layers; their names have five digits."""
 _LEAST_LAYER_MM = 1e-6
 """Least height of a layer: far less than a printer can do."""
+
+
+_Side = Annotated[Length, Field(ge=1, le=2000)]
+"""Of the room that a printer has."""
 
 
 class LayerStack(Exporter):
@@ -134,7 +138,7 @@ class Sl1(LayerStack):
     type: ClassVar[str] = "sl1"
     suffix: ClassVar[str] = ".sl1"
 
-    bed: tuple[Length, Length, Length] = Field(
+    bed: tuple[_Side, _Side, _Side] = Field(
         ("120mm", "68mm", "150mm"), validate_default=True, description="the screen's width and depth, and the height"
     )
     exposure: float = Field(2.5, gt=0, le=1000, description="seconds a layer is exposed; the resin's maker says them")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import ClassVar, Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from magiclens import Exporter, Length, LengthOrPercent, Scene, Solid, relative
 
@@ -25,13 +25,20 @@ class Step(Exporter):
         "splines", description="one smooth face per facet, or the triangles of the mesh as they are, 50,000 at most"
     )
     tolerance: Length = Field(
-        "0.1um", validate_default=True, ge=0, description="`splines` only: how far a vertex of the mesh may be off"
+        "0.1um", validate_default=True, ge=0, le=1000, description="`splines` only: how far a vertex of the mesh may be off"
     )
     departure: LengthOrPercent = Field(
         relative("100%"),
         description="`splines` only: how far the smooth surface may leave the micro-facets between their vertices, "
         "of a micro-facet's width",
     )
+
+    @field_validator("departure")
+    @classmethod
+    def _is_no_larger_than_any_lens(cls, value: LengthOrPercent) -> LengthOrPercent:
+        if not 0 <= value.mm(1.0) <= 1000:
+            raise ValueError("must be between 0 and 1000 mm, or micro-facets")
+        return value
 
     def export(self, scene: Scene, solid: Solid, path: Path) -> None:
         """Write the file. Raises InputError if the solid is not of the kind that ``surface`` needs."""
