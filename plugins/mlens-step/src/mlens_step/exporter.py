@@ -25,7 +25,11 @@ class Step(Exporter):
         "splines", description="one smooth face per facet, or the triangles of the mesh as they are, 50,000 at most"
     )
     tolerance: Length = Field(
-        "0.1um", validate_default=True, ge=0, le=1000, description="`splines` only: how far a vertex of the mesh may be off"
+        "0.1um",
+        validate_default=True,
+        ge=0,
+        le=1000,
+        description="`splines` only: how far a vertex of the mesh may be off",
     )
     departure: LengthOrPercent = Field(
         relative("100%"),
