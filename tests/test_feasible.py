@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -124,16 +123,13 @@ def test_the_estimate_is_not_far_from_what_a_run_takes(settings: list[str], tmp_
     code = f"""if True:
         import json, resource, sys, time
         from magiclens.cli import app
-        from magiclens.running.compilation import compile_all_kernels
-        compile_all_kernels()
         began = time.process_time()
         app({run!r}, standalone_mode=False)
         print(json.dumps([1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time() - began]))
     """
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, env=dict(os.environ), capture_output=True, text=True, timeout=1200
-    )
-    assert done.returncode == 0, done.stderr
+    for _ in ("compiles kernels, which takes more than the run itself", "is measured"):
+        done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=600)
+        assert done.returncode == 0, done.stderr
     taken_bytes, taken_seconds = json.loads(done.stdout.splitlines()[-1])
     needs = estimate(load_plan(spec, settings, INSTALLED))
     assert taken_bytes / 2 < needs.bytes < 3 * taken_bytes
