@@ -49,9 +49,7 @@ def test_what_is_well_takes_one_line() -> None:
     assert diagnoses_text([well]).splitlines() == ["ok       numpy            2.0"]
 
 
-def test_a_program_is_found_on_the_path(
-    registry: Registry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_program_is_found_on_the_path(registry: Registry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     program = tmp_path / "admesh"
     program.write_text("#!/bin/sh\n")
     program.chmod(0o755)
@@ -62,28 +60,22 @@ def test_a_program_is_found_on_the_path(
     assert not unfit(programs.values())
 
 
-def test_a_package_that_is_missing_makes_it_unfit(registry: Registry, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("missing", "needed", "told"),
+    [("trimesh", True, "pip install trimesh"), ("pymeshlab", False, "the finisher is manifold")],
+)
+def test_a_package_that_is_missing_makes_it_unfit_if_it_is_needed(
+    missing: str, needed: bool, told: str, registry: Registry, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def known(name: str) -> str:
-        if name == "trimesh":
+        if name == missing:
             raise PackageNotFoundError
         return version(name)
 
     monkeypatch.setattr("importlib.metadata.version", known)
     diagnoses = examine(registry)
-    assert unfit(diagnoses)
-    assert "pip install trimesh" in diagnoses_text(diagnoses)
-
-
-def test_pymeshlab_may_be_missing(registry: Registry, monkeypatch: pytest.MonkeyPatch) -> None:
-    def known(name: str) -> str:
-        if name == "pymeshlab":
-            raise PackageNotFoundError
-        return version(name)
-
-    monkeypatch.setattr("importlib.metadata.version", known)
-    diagnoses = examine(registry)
-    assert not unfit(diagnoses)
-    assert "the finisher is manifold" in diagnoses_text(diagnoses)
+    assert unfit(diagnoses) == needed
+    assert told in diagnoses_text(diagnoses)
 
 
 def test_a_broken_library_makes_it_unfit(registry: Registry, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -84,8 +84,8 @@ def check_command(
             require_feasible(plan)
         except InputError as error:
             if as_json:
-                errors = [{"where": each.where, "message": each.message} for each in (error, *error.others)]
-                print_result(str, lambda: {"spec": str(spec), "errors": errors}, as_json=True)
+                mistakes = error.mistakes()
+                print_result(str, lambda: {"spec": str(spec), "errors": mistakes}, as_json=True)
             raise
         _print_notices(plan, quiet or as_json)
         scenario, views = plan.scenario.type, [shot.name for shot in plan.shots()]

@@ -11,6 +11,7 @@ from magiclens.config.checker import Checker
 from magiclens.config.document import Document
 from magiclens.config.model import AUTO, DEFAULT_SIZE, Choice, LensSpec
 from magiclens.config.suggest import advice, unknown
+from magiclens.contract.errors import InputError
 from magiclens.contract.units import ANGLE, LENGTH
 from magiclens.profiles.machines import Machine, Mill, Printer, Profile, machines, refused_machines
 
@@ -124,19 +125,29 @@ def find_fabrication(document: Document, checker: Checker) -> Fabrication | None
         return None
     profile = known.get(str(name))
     if profile is None:
-        reason = refused_machines().get(str(name)) or unknown("machine", name, known)
-        checker.add(("fabrication", _KEY), reason)
+        checker.add(("fabrication", _KEY), _why_unlisted(str(name)))
         return None
     options = {key: value for key, value in written.items() if key != _KEY}
-    if profile.model is Printer and _writes_slices(document):
+    if profile.model is Printer and _writes_slices(document, profile):
         options = {"slicing": "diffused", **options}
     machine = checker.validate(profile.model, {**profile.options, **options}, ("fabrication",))
     return Fabrication(str(name), profile, machine) if machine else None
 
 
-def _writes_slices(document: Document) -> bool:
+def listed_machine(name: str, where: str) -> Profile:
+    """The machine of that name. Raises InputError, which names ``where``, if there is none, or none that can do it."""
+    if name not in machines():
+        raise InputError(_why_unlisted(name), where)
+    return machines()[name]
+
+
+def _why_unlisted(name: str) -> str:
+    return refused_machines().get(name) or unknown("machine", name, machines())
+
+
+def _writes_slices(document: Document, profile: Profile) -> bool:
     """Whether the spec exports slices of its own, whose rounding is ours; otherwise somebody else's slicer rounds."""
     pipeline = document.data.get("pipeline")
     exporters = pipeline.get("exporters") if isinstance(pipeline, dict) else None
     named = exporters if isinstance(exporters, list) else []
-    return any(isinstance(each, dict) and each.get("type") in ("slices", "sl1") for each in named)
+    return any(isinstance(each, dict) and each.get("type") in profile.machine().exporters() for each in named)

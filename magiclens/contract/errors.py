@@ -37,6 +37,10 @@ class InputError(MagicLensError):
         super().__init__(f"{where}: {message}" if where else message)
         self.message, self.where, self.keys, self.others = message, where, keys, others
 
+    def mistakes(self) -> list[dict[str, str | None]]:
+        """This mistake and the others as JSON has them: ``where`` each is, and the ``message``."""
+        return [{"where": each.where, "message": each.message} for each in (self, *self.others)]
+
 
 class StageError(MagicLensError):
     """A stage or a plugin failed; the message names it, its package and its version. Exit code 1."""

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magiclens.kernels.compiler import njit
+from magiclens.kernels.sampling import blend, clamped_cell
 from magiclens.kernels.threads import LoopPart
 from magiclens.optics.refraction import refract, transmittance
 
@@ -78,12 +79,9 @@ class PixelGrid(NamedTuple):
 
 @njit(cache=True)
 def _at(raster, column, row):
-    """A raster between its points, bilinearly; both indices lie inside."""
-    j, i = int(column), int(row)
-    a, b = column - j, row - i
-    upper = raster[i, j] * (1 - a) + raster[i, j + 1] * a
-    lower = raster[i + 1, j] * (1 - a) + raster[i + 1, j + 1] * a
-    return upper * (1 - b) + lower * b
+    """A raster between its points, bilinearly; beyond its border it goes on."""
+    j, i, a, b = clamped_cell(column, row, raster.shape[1], raster.shape[0])
+    return blend((raster[i, j], raster[i, j + 1]), (raster[i + 1, j], raster[i + 1, j + 1]), a, b)
 
 
 @njit(cache=True)
@@ -124,9 +122,7 @@ def _through(px, py, pz, dx, dy, dz, body):
 def _ink(sheet, x, y):
     """The sheet's light at a point, bilinearly; beyond its border it goes on."""
     height, width = sheet.picture.shape
-    column = min(max(x * sheet.per_mm + width / 2 - 0.5, 0.0), width - 1.001)
-    row = min(max(height / 2 - y * sheet.per_mm - 0.5, 0.0), height - 1.001)
-    return _at(sheet.picture, column, row)
+    return _at(sheet.picture, x * sheet.per_mm + width / 2 - 0.5, height / 2 - y * sheet.per_mm - 0.5)
 
 
 @njit(cache=True, nogil=True)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
@@ -32,6 +33,8 @@ _LEAST_LAYER_MM = 1e-6
 """Least height of a layer: far less than a printer can do."""
 
 
+_NAME = "layer-{:05d}.png"
+"""Names of the files in ``slices``, by number of the layer."""
 _Side = Annotated[Length, Field(ge=1, le=2000)]
 """Of the room that a printer has."""
 
@@ -81,6 +84,30 @@ class LayerStack(Exporter):
                     filled = float(np.bitwise_count(bitmap).sum(dtype=np.int64))
                 yield Image.frombytes("1", size, bitmap.tobytes()) if changed else None, filled
 
+    def _write_layers(
+        self,
+        archive: ZipFile,
+        solid: Solid,
+        grid: VoxelGrid,
+        name: str,
+        framed: Callable[[Image], Image] = lambda image: image,
+    ) -> float:
+        """Write a PNG per layer; their filled volume, mm^3.
+
+        Args:
+            archive: To write to.
+            solid: The solid.
+            grid: Where its voxels are.
+            name: Of files, to format with the number of the layer.
+            framed: Makes the picture of a file from that of a layer.
+        """
+        total, png = 0.0, b""
+        for k, (image, filled) in enumerate(self._layers(solid, grid)):
+            total += filled
+            png = self._png(framed(image)) if image else png  # layers that are alike are compressed once
+            archive.writestr(entry(name.format(k), packed=False), png)
+        return total * grid.voxel_mm3
+
     def _png(self, image: Image) -> bytes:
         """A layer as a file that knows its physical size."""
         file = BytesIO()
@@ -111,13 +138,9 @@ class Slices(LayerStack):
         With error diffusion or grey, what overhangs is filled down to the bottom: a column of voxels has one height.
         """
         grid = self._grid(solid)
-        total, png = 0.0, b""
         with ZipFile(path, "w") as archive:
-            for k, (image, filled) in enumerate(self._layers(solid, grid)):
-                total += filled
-                png = self._png(image) if image else png  # layers that are alike are compressed once
-                archive.writestr(entry(_name(k), packed=False), png)
-            facts = {**_manifest(grid, total * grid.voxel_mm3), "slicing": self.slicing, **self._grey_facts()}
+            filled_mm3 = self._write_layers(archive, solid, grid, _NAME)
+            facts = {**_manifest(grid, filled_mm3), "slicing": self.slicing, **self._grey_facts()}
             archive.writestr(entry("manifest.json"), json.dumps(facts, indent=2) + "\n")
 
     def _grey_facts(self) -> dict[str, Any]:
@@ -151,13 +174,9 @@ class Sl1(LayerStack):
         if grid.shape[2] > screen[0] or grid.shape[1] > screen[1]:
             wish = f"the lens has {grid.shape[2]} x {grid.shape[1]} pixels, the screen {screen[0]} x {screen[1]}"
             raise InputError(f"{wish}; make lens.size smaller", keys=("bed",))
-        png, total = b"", 0.0
         with ZipFile(path, "w") as archive:
-            for k, (image, filled) in enumerate(self._layers(solid, grid)):
-                total += filled
-                png = self._png(_on_screen(image, screen)) if image else png
-                archive.writestr(entry(f"lens{k:05d}.png", packed=False), png)
-            archive.writestr(entry("config.ini"), _ini(self._job(grid.shape[0], total * grid.voxel_mm3)))
+            filled_mm3 = self._write_layers(archive, solid, grid, "lens{:05d}.png", partial(_on_screen, screen=screen))
+            archive.writestr(entry("config.ini"), _ini(self._job(grid.shape[0], filled_mm3)))
             archive.writestr(entry("prusaslicer.ini"), _ini(self._settings(screen)))
 
     def _screen(self) -> tuple[int, int]:
@@ -213,10 +232,6 @@ def _ini(settings: dict[str, object]) -> str:
     return "".join(f"{key} = {value}\n" for key, value in settings.items())
 
 
-def _name(layer: int) -> str:
-    return f"layer-{layer:05d}.png"
-
-
 def _manifest(grid: VoxelGrid, filled_mm3: float) -> dict[str, Any]:
     layers, rows, columns = grid.shape
     return {
@@ -227,8 +242,8 @@ def _manifest(grid: VoxelGrid, filled_mm3: float) -> dict[str, Any]:
         "pixels": [columns, rows],
         "pixel_mm": list(grid.pixel_mm),
         "first_voxel_mm": list(grid.first_mm),
-        "first_layer": _name(0),
-        "last_layer": _name(layers - 1),
+        "first_layer": _NAME.format(0),
+        "last_layer": _NAME.format(layers - 1),
         "material": "white",
         "order": "layers from the build plate up, rows from +y down, columns from -x on",
         "filled_mm3": filled_mm3,

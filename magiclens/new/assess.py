@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -73,6 +73,11 @@ class Assessment:
         wanted = self.photograph if self.cropping == "auto" else self.cropping == "centre"
         return wanted and self.size[0] != self.size[1]
 
+    def shown(self, picture: FloatArray, side_px: int) -> FloatArray:
+        """The picture (H, W, C) as the target shows it, in linear light: (S, S, C) of this side."""
+        square = cropped_to_square if self.crop else padded_to_square
+        return resize(square(toned(picture, *(self.levels or (0.0, 1.0)), self.invert)), (side_px, side_px))
+
     @property
     def fine(self) -> bool:
         """Whether it has more detail than 32 x 32 facets show."""
@@ -122,13 +127,9 @@ def assess(path: Path, crop: Crop = "auto", moving: bool = False) -> Assessment:
     tones = np.clip((shown - low) / (high - low), 0, 1)
     photograph = float(((tones > 0.15) & (tones < 0.85)).mean()) > _PHOTOGRAPH_SHARE
     invert = not photograph and float(np.median(_border(tones))) < _DARK_GROUND
-    black, white = levels or (0.0, 1.0)
-    cut = photograph if crop == "auto" else crop == "centre"
-    whole = (cropped_to_square if cut else padded_to_square)(toned(picture, black, white, invert))
-    small = resize(whole, (_SIDE_PX, _SIDE_PX))
-    size = (picture.shape[1], picture.shape[0])
-    on_black, stroke = not animated and lies_on_black(path), _stroke(_dark(small))
-    return Assessment(path, size, photograph, levels, invert, _colourful(picture), stroke, on_black, crop)
+    size, on_black = (picture.shape[1], picture.shape[0]), not animated and lies_on_black(path)
+    found = Assessment(path, size, photograph, levels, invert, _colourful(picture), 0.0, on_black, crop)
+    return replace(found, stroke=_stroke(_dark(found.shown(picture, _SIDE_PX))))
 
 
 def _percent(level: float) -> float:

@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from magiclens.images import read_image, resize, to_display
-from magiclens.images.resample import cropped_to_square, padded_to_square
-from magiclens.images.tones import toned
+from magiclens.images import read_image, to_display
 from magiclens.new.assess import Assessment
 
 if TYPE_CHECKING:
@@ -49,7 +47,5 @@ def inks_for(pictures: Sequence[Assessment]) -> tuple[str, ...]:
 
 def _pixels(found: Assessment) -> NDArray[np.uint8]:
     """(pixels, 3) sRGB values of a picture as its target shows it."""
-    tones = toned(read_image(found.path), *(found.levels or (0.0, 1.0)), found.invert)
-    square = (cropped_to_square if found.crop else padded_to_square)(tones)
-    small = to_display(resize(square, (_SIDE_PX, _SIDE_PX)))
+    small = to_display(found.shown(read_image(found.path), _SIDE_PX))
     return np.rint(255 * np.broadcast_to(small, (_SIDE_PX, _SIDE_PX, 3))).astype(np.uint8).reshape(-1, 3)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import cast, get_args
 
+from magiclens.config.fabrication import listed_machine
 from magiclens.config.model import DEFAULT_SIZE
 from magiclens.config.suggest import unknown
 from magiclens.contract.errors import InputError
@@ -21,7 +22,6 @@ from magiclens.images.files import check_not_tiny
 from magiclens.new.assess import Crop, assess
 from magiclens.new.layouts import LAYOUTS, Request
 from magiclens.new.palette import inks_for
-from magiclens.profiles.machines import machines, refused_machines
 
 _COMMENT_WIDTH = 110
 """Largest number of characters in a line of comment."""
@@ -111,8 +111,8 @@ def _check_request(scenario: str, pictures: int, source: bool, questions: int) -
 
 def _checked(machine: str | None, size: str) -> tuple[str | None, float]:
     """The machine and the lens's side, mm."""
-    if machine is not None and machine not in machines():
-        raise InputError(refused_machines().get(machine) or unknown("machine", machine, machines()), "--machine")
+    if machine is not None:
+        listed_machine(machine, "--machine")
     try:
         return machine, LENGTH.parse(size)
     except ValueError as error:

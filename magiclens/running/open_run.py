@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from magiclens.config.fabrication import listed_machine
 from magiclens.config.fields import Inputs
 from magiclens.config.suggest import unknown
 from magiclens.contract.artifacts import FloatArray, HeightField, Scene, Solid, Transport, View
@@ -18,7 +19,7 @@ from magiclens.contract.errors import InputError
 from magiclens.plan.blame import blaming
 from magiclens.plan.compile import Plan, load_plan
 from magiclens.plan.registry import Registry
-from magiclens.profiles.machines import Machine, machines
+from magiclens.profiles.machines import Machine
 from magiclens.profiles.materials import materials
 from magiclens.running.folder import HEIGHTS
 from magiclens.running.manifest import refresh_manifest, source_path
@@ -110,9 +111,7 @@ class OpenRun:
         Raises:
             InputError: There is no such machine; the nearest name is proposed.
         """
-        if name not in machines():
-            raise InputError(unknown("machine", name, machines()), "--machine")
-        profile = machines()[name]
+        profile = listed_machine(name, "--machine")
         material = profile.lens.get("material")
         ior = materials()[material].ior if material else self.scene.lens.ior
         scene = replace(self.scene, lens=replace(self.scene.lens, ior=ior))

@@ -64,17 +64,21 @@ def body_made_by(solid: Solid, machine: Machine) -> Solid:
     Raises:
         InputError: The solid is too large for the simulation of the mill.
     """
-    body = as_milled(solid, machine) if isinstance(machine, Mill) else body_of(solid, machine)
+    body = _body(solid, machine)
     if body is None:
         raise InputError("this lens is too large for the simulation of a mill")
     return body
+
+
+def _body(solid: Solid, machine: Machine) -> Solid | None:
+    return as_milled(solid, machine) if isinstance(machine, Mill) else body_of(solid, machine)
 
 
 def rough_pictures(machine: Machine, scene: Scene, solid: Solid) -> list[FloatArray]:
     """The same path-traced by Mitsuba, with the roughness of the machine's surface; nothing if it is not simulated."""
     if solid.grid is None:
         return []
-    made = as_milled(solid, machine) if isinstance(machine, Mill) else body_of(solid, machine)
+    made = _body(solid, machine)
     return [] if made is None else Mitsuba(roughness=machine.roughness).render(scene, made)
 
 

@@ -82,11 +82,6 @@ def named_pictures(text: str, store: StudioFolder) -> list[str]:
     return [name for name in store.pictures() if name in words]
 
 
-def mistakes(error: InputError) -> list[dict[str, str | None]]:
-    """All mistakes of a spec, for the page: where each is, and what is wrong."""
-    return [{"where": each.where, "message": each.message} for each in (error, *error.others)]
-
-
 def _copy(name: str, store: StudioFolder, folder: Path) -> Path:
     found = file_below(store.root / "pictures", name)
     if not found:

@@ -28,7 +28,7 @@ from magiclens.new.layouts import LAYOUTS
 from magiclens.pages.templating import render_page, template_text
 from magiclens.profiles.machines import machines
 from magiclens.studio.guard import RUN_POLICY, Door, Guard
-from magiclens.studio.orders import SPEC, Order, fill_job, mistakes, write_order
+from magiclens.studio.orders import SPEC, Order, fill_job, write_order
 from magiclens.studio.results import WANTS, job_summary
 from magiclens.studio.store import StudioFolder, file_below, sole_user
 from magiclens.studio.worker import Worker
@@ -303,7 +303,7 @@ async def _refused(request: Request, error: HTTPException) -> Response:
 
 
 async def _mistaken(request: Request, error: MagicLensError) -> Response:
-    found = mistakes(error) if isinstance(error, InputError) else [{"where": None, "message": str(error)}]
+    found = error.mistakes() if isinstance(error, InputError) else [{"where": None, "message": str(error)}]
     return _errors(422, found)
 
 
