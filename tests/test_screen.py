@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from playwright.sync_api import Browser, Page
+from playwright.sync_api import Browser, Page, expect
 from typer.testing import CliRunner
 
 from browsers import listen
@@ -137,7 +137,7 @@ def test_a_card_sets_the_size_once_and_for_all(visit: Visit) -> None:
     assert box is not None
     assert (box["width"], box["height"]) == pytest.approx((53.98 * 4.5, 85.60 * 4.5), abs=0.02)
     tab.locator("#done").click()
-    tab.wait_for_function("document.querySelector('canvas').width === 225")
+    expect(tab.locator("canvas")).to_have_js_property("width", 225)
     assert "guess" not in tab.locator("#words").inner_text()
     assert tab.evaluate("localStorage.getItem('magiclens: dots per mm')") == "9"
 
@@ -152,7 +152,7 @@ def test_frames_go_by_key_by_button_and_by_tap(visit: Visit) -> None:
         (lambda: tab.locator("canvas").click(), "pair-0"),
     ):
         act()
-        tab.wait_for_function(f"document.getElementById('words').textContent.includes('{name}')")
+        expect(words).to_contain_text(name)
     assert "Lay the lens on the outline" in words.inner_text()
 
 
@@ -176,7 +176,7 @@ def test_a_screen_that_is_too_small_says_so_and_full_screen_is_the_sheet_alone(v
     assert tab.evaluate("document.documentElement.scrollWidth") <= 390
     tab = visit(DESK)
     tab.keyboard.press("f")
-    tab.wait_for_function("document.fullscreenElement !== null")
+    expect(tab.locator(":fullscreen")).to_have_count(1)
     assert not tab.locator("#bar").is_visible()
 
 
