@@ -38,7 +38,8 @@ if TYPE_CHECKING:
     )
     from magiclens.contract.units import Angle, Fraction, Length, LengthOrPercent, relative
     from magiclens.geometry.facets import central_slopes
-    from magiclens.images import Score, resize, score, to_display, to_linear
+    from magiclens.images import Score, art, read_image, resize, score, to_display, to_linear, write_png
+    from magiclens.images.movies import read_frames
     from magiclens.matching.exhaustive import Exhaustive
     from magiclens.matching.options import MatchingOptions
     from magiclens.matching.polishing import polished
@@ -48,7 +49,9 @@ if TYPE_CHECKING:
     from magiclens.milling.program import MillingProgram, MillingSetup
     from magiclens.milling.toolpath import Moves
     from magiclens.plan.compile import Plan, load_plan
+    from magiclens.rendering.poses import Pose
     from magiclens.rendering.transports import transports
+    from magiclens.running.open_run import OpenRun, open_run
     from magiclens.running.pipeline import Run, run, run_plan, run_spec
     from magiclens.scenarios.base import Scenario, Shot
     from magiclens.scenarios.pictures import Source, Target
@@ -66,7 +69,8 @@ _HOMES = {
     "contract.stages": "Annealer Encoder Exporter Finisher Integrator Matcher Progress Renderer Stage silent",
     "contract.units": "Angle Fraction Length LengthOrPercent relative",
     "geometry.facets": "central_slopes",
-    "images": "Score resize score to_display to_linear",
+    "images": "Score art read_image resize score to_display to_linear write_png",
+    "images.movies": "read_frames",
     "matching.exhaustive": "Exhaustive",
     "matching.options": "MatchingOptions",
     "matching.polishing": "polished",
@@ -76,7 +80,9 @@ _HOMES = {
     "milling.program": "MillingProgram MillingSetup",
     "milling.toolpath": "Moves",
     "plan.compile": "Plan load_plan",
+    "rendering.poses": "Pose",
     "rendering.transports": "transports",
+    "running.open_run": "OpenRun open_run",
     "running.pipeline": "Run run run_plan run_spec",
     "scenarios.base": "Scenario Shot",
     "scenarios.pictures": "Source Target",
@@ -114,7 +120,9 @@ __all__ = [
     "MillingProgram",
     "MillingSetup",
     "Moves",
+    "OpenRun",
     "Plan",
+    "Pose",
     "Progress",
     "Renderer",
     "Run",
@@ -131,12 +139,16 @@ __all__ = [
     "Transport",
     "View",
     "Viewer",
+    "art",
     "central_slopes",
     "hookimpl",
     "load_plan",
     "load_spec",
+    "open_run",
     "polished",
     "raising",
+    "read_frames",
+    "read_image",
     "relative",
     "resize",
     "run",
@@ -147,6 +159,7 @@ __all__ = [
     "to_display",
     "to_linear",
     "transports",
+    "write_png",
 ]
 
 

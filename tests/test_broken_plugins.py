@@ -74,6 +74,7 @@ lens: {size: 12mm, facets: 3, microfacets: 4, thickness: 20mm}
 pipeline:
   matcher: {type: exhaustive, candidates: 4, polish: 1}
   renderers: [{type: tracer, resolution: 48}]
+report: {analyses: []}
 """
 Mlens = Callable[..., subprocess.CompletedProcess[str]]
 

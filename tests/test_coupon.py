@@ -37,7 +37,7 @@ def mlens(*arguments: object) -> Any:
     return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
-@pytest.mark.tools
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", TRUTHS)
 def test_process_and_index_are_read_from_path_traced_photographs(name: str, tmp_path: Path) -> None:
     """The reader knows layers and pixels of the printer; process, index, camera and exposure it has to find."""

@@ -17,11 +17,7 @@ from magiclens.contract.executors import Executor, Processes, Serial, cores, rai
 from magiclens.contract.hookspecs import hookimpl
 from magiclens.plan.registry import EXECUTOR, Plugin, Registry
 from magiclens.running.jobs import choose_executor
-
-
-def later_when_small(number: int) -> int:
-    time.sleep(0.1 / (number + 1))
-    return number * number
+from magiclens.testing import ExecutorContract
 
 
 def picky(number: int) -> int:
@@ -56,19 +52,12 @@ def executors() -> Registry:
     return registry
 
 
-def test_results_come_in_the_order_of_the_items(executor: Executor) -> None:
-    assert list(executor.map(later_when_small, range(5))) == [0, 1, 4, 9, 16]
+class TestSerial(ExecutorContract):
+    executor = Serial()
 
 
-def test_no_items_give_no_results(executor: Executor) -> None:
-    assert list(executor.map(later_when_small, [])) == []
-
-
-def test_an_item_that_fails_stops_no_other(executor: Executor) -> None:
-    first, error, last = executor.map(picky, range(3))
-    assert (first, last) == (0, 2)
-    assert isinstance(error, InputError)
-    assert str(error) == "here: one is not allowed"
+class TestProcesses(ExecutorContract):
+    executor = Processes(workers=2)
 
 
 def test_the_first_error_is_raised_where_all_results_are_needed(executor: Executor) -> None:

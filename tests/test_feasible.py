@@ -112,9 +112,14 @@ def test_durations_have_one_digit() -> None:
     ]
 
 
-@pytest.mark.tools
 @pytest.mark.parametrize(
-    "settings", [["lens.facets=8"], ["lens.facets=16", "lens.microfacets=64", "pipeline.integrator.refinement=1"]]
+    "settings",
+    [
+        pytest.param(["lens.facets=8"], marks=pytest.mark.tools),
+        pytest.param(
+            ["lens.facets=16", "lens.microfacets=64", "pipeline.integrator.refinement=1"], marks=pytest.mark.sweep
+        ),
+    ],
 )
 def test_the_estimate_is_not_far_from_what_a_run_takes(settings: list[str], tmp_path: Path) -> None:
     spec, settings = SPECS / "single.yaml", [*settings, "pipeline.renderers=[{type: tracer}]"]

@@ -20,7 +20,7 @@ from magiclens.images.resample import cropped_to_square
 from magiclens.images.tones import toned
 from magiclens.new.assess import assess
 from magiclens.new.layouts import LAYOUTS
-from magiclens.new.write import new_spec
+from magiclens.new.write import Making, new_spec
 from magiclens.plan.compile import Plan, load_plan
 from magiclens.running.pipeline import run_plan
 from magiclens.scenarios.pictures import Target
@@ -173,7 +173,7 @@ def test_every_scenario_gets_a_spec_with_comments(scenario: str, panda: Path, sa
 def test_a_machine_sets_material_facets_and_files(
     scenario: str, machine: str, files: list[str], panda: Path, tmp_path: Path
 ) -> None:
-    new_spec(scenario, [panda] * LAYOUTS[scenario].least, tmp_path / "my.yaml", made=(machine, "60mm"))
+    new_spec(scenario, [panda] * LAYOUTS[scenario].least, tmp_path / "my.yaml", making=Making(machine, "60mm"))
     plan = planned(tmp_path / "my.yaml")
     assert plan.lens.size_mm == 60
     assert plan.lens.facets < 32
@@ -182,19 +182,35 @@ def test_a_machine_sets_material_facets_and_files(
     assert [step.stage.type for step in plan.exporters] == files
 
 
+@pytest.mark.parametrize("scenario", LAYOUTS)
+@pytest.mark.parametrize("place", ["hand", "wall"])
+def test_facets_are_wider_in_a_hand_and_on_a_wall(scenario: str, place: str, panda: Path, tmp_path: Path) -> None:
+    pictures = [panda] * LAYOUTS[scenario].least
+    for machine in (None, "sla"):
+        plans = []
+        for name in ("table", place):
+            out = tmp_path / f"{name}-{machine}.yaml"
+            text = new_spec(scenario, pictures, out, making=Making(machine, "60mm", name))
+            plans.append(load_plan(out))
+        assert plans[1].lens.facets == plans[0].lens.facets // 2
+        assert f"wide facets for the {place}" in text
+        assert plans[1].spec.viewer.distance == (1500.0 if place == "wall" else 400.0)
+
+
 @pytest.mark.parametrize(
-    ("made", "message"),
+    ("making", "message"),
     [
-        (("slaa", "60mm"), "--machine: unknown machine 'slaa'; did you mean 'sla'?"),
-        (("fdm", "60mm"), "--machine: a printer that melts filament cannot make a lens"),
-        ((None, "60"), "--size: "),
+        (Making("slaa", "60mm"), "--machine: unknown machine 'slaa'; did you mean 'sla'?"),
+        (Making("fdm", "60mm"), "--machine: a printer that melts filament cannot make a lens"),
+        (Making(None, "60"), "--size: "),
+        (Making(place="walls"), "--for: unknown place 'walls'; did you mean 'wall'?"),
     ],
 )
-def test_machines_and_sizes_that_are_none_are_explained(
-    made: tuple[str | None, str], message: str, panda: Path, tmp_path: Path
+def test_machines_sizes_and_places_that_are_none_are_explained(
+    making: Making, message: str, panda: Path, tmp_path: Path
 ) -> None:
     with pytest.raises(InputError, match=re.escape(message)):
-        new_spec("single", [panda], tmp_path / "my.yaml", made=made)
+        new_spec("single", [panda], tmp_path / "my.yaml", making=making)
     assert not (tmp_path / "my.yaml").exists()
 
 
@@ -272,14 +288,12 @@ def test_wrong_requests_end_with_2(arguments: list[str], message: str, panda: Pa
     assert not (tmp_path / "my.yaml").exists()
 
 
-def test_a_spec_that_is_there_is_not_written_over_unless_asked(panda: Path, tmp_path: Path) -> None:
+def test_a_spec_that_is_there_is_not_written_over(panda: Path, tmp_path: Path) -> None:
     out = tmp_path / "my.yaml"
     out.write_text("mine")
     with pytest.raises(InputError, match="is there already"):
         new_spec("single", [panda], out)
     assert out.read_text() == "mine"
-    new_spec("single", [panda], out, force=True)
-    assert "panda.png" in out.read_text()
 
 
 def test_the_folder_of_the_spec_must_be_there(panda: Path, tmp_path: Path) -> None:

@@ -13,11 +13,12 @@ from typer.testing import CliRunner
 from lenses import COARSE, Lenses
 from magiclens.cli import app
 from magiclens.contract.errors import InputError
-from magiclens.images import score
+from magiclens.images import resize, score
 from magiclens.images.art import ART
 from magiclens.images.files import read_image, write_png
 from magiclens.images.movies import read_frames, write_gif
 from magiclens.profiles.materials import materials
+from magiclens.rendering.poses import Pose
 from magiclens.running.open_run import open_run
 from magiclens.running.pipeline import Run
 
@@ -72,6 +73,16 @@ def test_another_picture_is_encoded_and_decoded(run: Run, tmp_path: Path) -> Non
     assert source.shape[:2] == run.result.scene.views[0].source.shape[:2]
     assert score(seen, target).psnr_db > 22
     assert score(seen, target).psnr_db > score(source, target).psnr_db + 10
+
+
+def test_a_lens_is_seen_in_any_pose(run: Run) -> None:
+    lens = open_run(run.folder)
+    target = resize(run.result.scene.views[1].target, (128, 128))
+    designed = score(lens.seen(name="frame-01", resolution=128), target).psnr_db
+    assert designed == pytest.approx(run.manifest["views"][1]["psnr_db"], abs=1.5)
+    far = score(lens.seen(Pose(shift_x_mm=5), "frame-01", 128), target).psnr_db
+    near = score(lens.seen(Pose(shift_x_mm=0.1), "frame-01", 128), target).psnr_db
+    assert designed > near > far + 3
 
 
 def test_movies_are_encoded_frame_by_frame(run: Run, tmp_path: Path) -> None:

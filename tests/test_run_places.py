@@ -15,7 +15,7 @@ import pytest
 from magiclens.contract.errors import InputError
 from magiclens.plan.compile import load_plan
 from magiclens.plan.registry import Registry
-from magiclens.running.folder import place_for
+from magiclens.running.folder import place_for, require_same_name
 from magiclens.running.pipeline import run_plan
 from magiclens.running.replacing import atomic_file, atomic_folder
 from toys import SpecWriter
@@ -198,6 +198,14 @@ def test_an_older_run_is_replaced_and_nothing_else_is_left(run: Callable[[Path],
     assert os.listdir(out.parent) == ["out"]
     run(out)
     assert os.listdir(out.parent) == ["out"]
+
+
+def test_the_run_of_a_spec_of_another_name_is_not_replaced(tmp_path: Path) -> None:
+    a_run(tmp_path / "out", name="cat")
+    require_same_name(tmp_path / "out", "cat")
+    require_same_name(tmp_path / "nothing", "cat")
+    with pytest.raises(InputError, match="is the run of another spec, 'cat'; choose another --out, or replace it with"):
+        require_same_name(tmp_path / "out", "dog")
 
 
 def test_an_empty_folder_is_filled_and_a_link_to_one_stays_a_link(run: Callable[[Path], Path], tmp_path: Path) -> None:

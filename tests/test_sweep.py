@@ -374,7 +374,10 @@ def test_wrong_input_ends_with_2(mlens: Any, write_spec: SpecWriter, more: list[
 SPEC = """\
 scenario: {type: single, source: {type: circles, seed: 7, size: 10mm}, target: {art: heart}}
 lens: {size: 10mm, facets: 2, microfacets: 4, thickness: 15mm}
-pipeline: {matcher: {type: exhaustive, window: 10%, scales: [0.3], candidates: 4}}
+pipeline:
+  matcher: {type: exhaustive, window: 10%, scales: [0.3], candidates: 4}
+  renderers: [{type: tracer, resolution: 48}]
+report: {analyses: []}
 """
 
 

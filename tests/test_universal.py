@@ -23,6 +23,7 @@ pipeline:
   matcher: {type: dart-throwing, reach: 10%}
   exporters: [{type: stl}]
   renderers: [{type: tracer, resolution: 128, samples: 4}]
+report: {analyses: [contact-sheet, leaks, overlap, secrecy, warp]}
 """
 QUESTIONS = """\
 scenario:

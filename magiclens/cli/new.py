@@ -40,15 +40,17 @@ def new_command(
         ),
     ] = None,
     size: Annotated[str, typer.Option("--size", metavar="LENGTH", help="Side of the lens, such as 60mm.")] = "100mm",
+    place: Annotated[
+        str, typer.Option("--for", metavar="PLACE", help="table, hand or wall: in the latter two, facets are wider.")
+    ] = "table",
     crop: Annotated[
         str, typer.Option("--crop", metavar="HOW", help="auto, centre (cut to the middle square) or fit (on white).")
     ] = "auto",
-    force: Annotated[bool, typer.Option("--force", help="Write over a file that is there.")] = False,
     traceback: Traceback = False,
 ) -> None:
     """Write a commented spec for your own PICTURES, with contrast, polarity, window and facets that suit them."""
     with reporting(traceback):
-        from magiclens.new.write import crop_of, new_spec
+        from magiclens.new.write import Making, crop_of, new_spec
 
-        new_spec(scenario, pictures, out, source, questions or (), (machine, size), force, crop_of(crop))
+        new_spec(scenario, pictures, out, source, questions or (), Making(machine, size, place), crop_of(crop))
         typer.echo(f"{out}: written. Read it, change what you like, then: mlens run {out}")

@@ -37,6 +37,7 @@ def run_command(
         bool,
         typer.Option("--no-cache", help="Do everything; neither keep results nor use what earlier runs have kept."),
     ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace the run of another spec that is at --out.")] = False,
     sandbox: Sandbox = False,
     quiet: Quiet = False,
     as_json: AsJson = False,
@@ -50,6 +51,7 @@ def run_command(
         from magiclens.cache.folder import keep_nothing
         from magiclens.plan.compile import load_plan
         from magiclens.running.feasible import require_feasible
+        from magiclens.running.folder import require_same_name
         from magiclens.running.observers import Observer, terminal_observer
         from magiclens.running.pipeline import kept_run
         from magiclens.running.termination import end_on_sigterm
@@ -60,8 +62,10 @@ def run_command(
         # progress goes to standard error, so that standard output holds the result alone
         observer = Observer() if quiet or as_json else terminal_observer(sys.stderr)
         plan = load_plan(spec, overrides, sandbox=sandbox)
-        require_feasible(plan)
         folder = out or Path("out", plan.spec.name)
+        if not force:
+            require_same_name(folder, plan.spec.name)
+        require_feasible(plan)
         manifest = kept_run(plan, folder, observer) or _run(plan, spec, overrides, folder, observer)
         print_result(lambda: _summary(folder, manifest), lambda: {"folder": str(folder), **manifest}, quiet, as_json)
 

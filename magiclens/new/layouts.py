@@ -5,10 +5,20 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 from magiclens.contract.units import LENGTH
 from magiclens.new.assess import Assessment
 from magiclens.profiles.machines import machines
+
+Place = Literal["table", "hand", "wall"]
+"""Where the lens is used: laid down and looked at from a fixed place, held in a hand, or hung up for people passing."""
+
+_DISTANCES: dict[Place, str] = {"table": "400mm", "hand": "400mm", "wall": "1500mm"}
+"""Usual distances from the lens to the eye."""
+
+_STEADY = 2
+"""How many times wider facets are in a hand or on a wall, where things lie a millimetre off."""
 
 
 @dataclass(frozen=True)
@@ -22,6 +32,7 @@ class Request:
         inks: What the pictures' own colours are, for discs; nothing for black and white.
         machine: Name of the machine that makes the lens; None if it is left open.
         size_mm: Side of the lens.
+        place: Where it is used.
     """
 
     pictures: Sequence[tuple[str, Assessment]]
@@ -30,6 +41,23 @@ class Request:
     inks: Sequence[str] = ()
     machine: str | None = None
     size_mm: float = 100.0
+    place: Place = "table"
+
+    @property
+    def viewer(self) -> str:
+        """The line about the viewer."""
+        distance = _DISTANCES[self.place]
+        return f"viewer: {{distance: {distance}}}".ljust(42) + "# from the lens to the eye, straight above its centre"
+
+    def steady(self, facets: int, why: str) -> tuple[int, str]:
+        """How many facets, and why, where the lens is used."""
+        if self.place == "table":
+            return facets, why
+        fewer = max(facets // _STEADY, min(facets, _LEAST_FACETS))
+        return fewer, (
+            f"{fewer} x {fewer} wide facets for the {self.place}: the sheet may lie about twice as far off as with "
+            f"{facets} x {facets}, and the picture is coarser. The report says how far, and what it looks like."
+        )
 
     def wider(self, factor: float) -> str:
         """So many times the lens's side, as a spec writes it."""
@@ -39,6 +67,10 @@ class Request:
     def fine(self) -> list[str]:
         """Names of the pictures that need many facets."""
         return [assessment.path.name for _, assessment in self.pictures if assessment.fine]
+
+
+_LEAST_FACETS = 8
+"""With fewer facets along a side, no picture is left."""
 
 
 @dataclass(frozen=True)
@@ -178,7 +210,11 @@ def _questions(request: Request) -> list[str]:
     return [*lines, "margin: 1.5mm   # kept free around the questions", "camouflage: {type: texture}"]
 
 
-def _lens(request: Request, facets: int | str, microfacets: int, why: str) -> list[str]:
+def _lens(request: Request, facets: int, microfacets: int, why: str) -> list[str]:
+    return _lens_lines(request, *request.steady(facets, why), microfacets)
+
+
+def _lens_lines(request: Request, facets: int | str, why: str, microfacets: int) -> list[str]:
     # the machine's own material and thickness, where one is named
     usual = [] if request.machine else ["thickness: 40mm   # thicker lenses reach further with flatter facets"]
     material = [] if request.machine else ["material: acrylic"]
@@ -196,7 +232,9 @@ def _lens(request: Request, facets: int | str, microfacets: int, why: str) -> li
 def _matched_lens(request: Request) -> list[str]:
     if request.machine:
         why = f"As many as suit {request.machine}, which rounds the borders of facets: 'mlens plan' says how many."
-        return _lens(request, "auto", 22, why)
+        if request.place == "table":
+            return _lens_lines(request, "auto", why, 22)
+        return _lens(request, machines()[request.machine].machine().facets_for(request.size_mm), 22, why)
     if request.fine:
         names = " and ".join(request.fine[:2])
         return _lens(

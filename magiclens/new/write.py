@@ -20,11 +20,26 @@ from magiclens.contract.units import LENGTH
 from magiclens.images import read_image
 from magiclens.images.files import check_not_tiny
 from magiclens.new.assess import Crop, assess
-from magiclens.new.layouts import LAYOUTS, Request
+from magiclens.new.layouts import LAYOUTS, Place, Request
 from magiclens.new.palette import inks_for
 
 _COMMENT_WIDTH = 110
 """Largest number of characters in a line of comment."""
+
+
+@dataclass(frozen=True)
+class Making:
+    """How a lens is made and used.
+
+    Attributes:
+        machine: Name of the machine; None if it is left open.
+        size: The lens's side, with its unit.
+        place: Where the lens is used.
+    """
+
+    machine: str | None = None
+    size: str = DEFAULT_SIZE
+    place: str = "table"
 
 
 def new_spec(
@@ -33,8 +48,7 @@ def new_spec(
     out: Path,
     source: Path | None = None,
     questions: Sequence[str] = (),
-    made: tuple[str | None, str] = (None, DEFAULT_SIZE),
-    force: bool = False,
+    making: Making = Making(),
     crop: Crop = "auto",
 ) -> str:
     """Write a spec for a user's pictures.
@@ -45,8 +59,7 @@ def new_spec(
         out: The file to write.
         source: File of the source; None for random discs.
         questions: For question-answer, one per picture or none.
-        made: Name of the machine, None if it is left open; the lens's side, with its unit.
-        force: Whether to overwrite ``out`` if it exists.
+        making: How the lens is made and used.
         crop: How pictures are made square.
 
     Returns:
@@ -59,7 +72,7 @@ def new_spec(
     if scenario not in LAYOUTS:
         raise InputError(unknown("scenario", scenario, LAYOUTS), "SCENARIO")
     _check_request(scenario, len(pictures), source is not None, len(questions))
-    _check_out(out, force)
+    _check_out(out)
     files = _Files(out.parent)
     if source:
         check_not_tiny(read_image(source))
@@ -67,7 +80,7 @@ def new_spec(
     assessed = tuple((files.path(path), assess(path, crop, moving)) for path in pictures)
     inks = () if moving else inks_for([found for _, found in assessed])
     below = files.path(source) if source else None
-    request = Request(assessed, below, tuple(questions), inks, *_checked(*made))
+    request = Request(assessed, below, tuple(questions), inks, *_checked(making))
     text = _text(scenario, request, [path.name for path in pictures], out.name)
     _write(out, text)
     return text
@@ -90,10 +103,13 @@ class _Files:
 
 def crop_of(name: str) -> Crop:
     """The way of making pictures square that has this name. Raises InputError if there is none."""
-    found = next((crop for crop in get_args(Crop) if crop == name), None)
-    if found is None:
-        raise InputError(unknown("way to crop", name, get_args(Crop)), "--crop")
-    return cast(Crop, found)
+    return cast(Crop, _one_of(get_args(Crop), "way to crop", name, "--crop"))
+
+
+def _one_of(names: Sequence[str], kind: str, name: str, key: str) -> str:
+    if name not in names:
+        raise InputError(unknown(kind, name, names), key)
+    return name
 
 
 def _check_request(scenario: str, pictures: int, source: bool, questions: int) -> None:
@@ -109,21 +125,22 @@ def _check_request(scenario: str, pictures: int, source: bool, questions: int) -
         raise InputError(f"{questions} questions for {pictures} pictures; write one for each", "--question")
 
 
-def _checked(machine: str | None, size: str) -> tuple[str | None, float]:
-    """The machine and the lens's side, mm."""
-    if machine is not None:
-        listed_machine(machine, "--machine")
+def _checked(making: Making) -> tuple[str | None, float, Place]:
+    """The machine, the lens's side, mm, and the place."""
+    if making.machine is not None:
+        listed_machine(making.machine, "--machine")
+    place = cast(Place, _one_of(get_args(Place), "place", making.place, "--for"))
     try:
-        return machine, LENGTH.parse(size)
+        return making.machine, LENGTH.parse(making.size), place
     except ValueError as error:
         raise InputError(str(error), "--size") from None
 
 
-def _check_out(out: Path, force: bool) -> None:
+def _check_out(out: Path) -> None:
     if out.is_dir() or not out.parent.is_dir():
         raise InputError(f"'{out}' cannot be a file: name a spec file (.yaml) in a folder that is there", "--out")
-    if out.exists() and not force:
-        raise InputError(f"'{out}' is there already; choose another, or --force", "--out")
+    if out.exists():
+        raise InputError(f"'{out}' is there already; choose another, or remove it", "--out")
 
 
 def _text(scenario: str, request: Request, names: Sequence[str], out: str) -> str:
@@ -144,7 +161,7 @@ def _text(scenario: str, request: Request, names: Sequence[str], out: str) -> st
             "lens:",
             *_indented(lens),
             "",
-            "viewer: {distance: 400mm}                 # from the lens to the eye, straight above its centre",
+            request.viewer,
             "",
             *([f"fabrication: {{machine: {request.machine}}}", ""] if request.machine else []),
             "pipeline:",

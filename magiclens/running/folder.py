@@ -57,6 +57,28 @@ def place_for(out: Path) -> Path:
     return place
 
 
+def require_same_name(out: Path, name: str) -> None:
+    """Refuse to replace the run of another spec: a spec that is changed and run again keeps its name.
+
+    Args:
+        out: Where a run folder shall be written.
+        name: The ``name`` of the spec that shall be run.
+
+    Raises:
+        InputError: A run whose spec has another name is there.
+    """
+    try:
+        manifest = json.loads((out / MANIFEST).read_bytes())
+    except (OSError, ValueError):
+        return
+    if is_run_manifest(manifest) and manifest.get("name") != name:
+        raise InputError(
+            f"'{out}' is the run of another spec, '{manifest.get('name')}'; choose another --out, "
+            "or replace it with --force",
+            "--out",
+        )
+
+
 def is_run_manifest(manifest: object) -> bool:
     """Whether JSON is the manifest of a run, and not that of something else: many programs call a file that."""
     return (

@@ -27,9 +27,12 @@ from magiclens.running.run_files import RunFiles, verified
 
 if TYPE_CHECKING:
     from magiclens.preflight.finding import Preflight
+    from magiclens.rendering.poses import Pose
 
 _FRAMES_PER_BATCH = 4
 """Frames that are encoded together; more would hold more pictures in memory at once."""
+_SAMPLES = 3
+"""Samples along a side of a pixel of what is seen in any pose."""
 
 
 @dataclass(frozen=True)
@@ -177,6 +180,31 @@ class OpenRun:
         medium = self.plan.spec.medium
         fitting = (resize(padded_to_square(source), transport.source_shape) for source in sources)
         return (transport.see(medium.shown(source) if medium else source) for source in fitting)
+
+    def seen(self, pose: Pose | None = None, name: str | None = None, resolution: int = 256) -> FloatArray:
+        """What a view's eye sees when sheet, lens and eye do not lie as designed, through the lens as it is made.
+
+        Args:
+            pose: How far they are from where they should be; None for nowhere else.
+            name: The view, the first one by default.
+            resolution: Pixels along a side of the picture, R, each of 9 samples.
+
+        Returns:
+            (R, R, C) float32, linear light.
+
+        Raises:
+            InputError: There is no such view.
+        """
+        from magiclens.rendering.poses import Pose, PosedLens
+
+        scene, place = self._lit_scene, self.scene.views.index(self.view(name))
+        posed = PosedLens(self._body, scene.lens, resolution, _SAMPLES)
+        return posed.picture(scene.views[place], pose or Pose())
+
+    @cached_property
+    def _lit_scene(self) -> Scene:
+        """The scene with the light that its printed sheets reflect."""
+        return self.plan.on_medium(self.printed_scene)
 
 
 def open_run(folder: str | Path, registry: Registry | None = None) -> OpenRun:

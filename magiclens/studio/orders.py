@@ -38,7 +38,7 @@ def write_order(order: Order, store: StudioFolder, folder: Path) -> Plan:
     Raises:
         InputError: A picture is missing, or the spec has mistakes.
     """
-    from magiclens.new.write import new_spec
+    from magiclens.new.write import Making, new_spec
     from magiclens.plan.compile import load_plan
     from magiclens.running.feasible import require_feasible
 
@@ -46,7 +46,7 @@ def write_order(order: Order, store: StudioFolder, folder: Path) -> Plan:
     try:
         if order.yaml is None:
             pictures = [_copy(name, store, folder) for name in order.pictures]
-            new_spec(order.scenario, pictures, spec, made=(order.machine, order.size))
+            new_spec(order.scenario, pictures, spec, making=Making(order.machine, order.size))
         else:
             for name in named_pictures(order.yaml, store):
                 _copy(name, store, folder)

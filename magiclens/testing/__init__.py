@@ -13,6 +13,7 @@ usual two, and tolerances to other numbers than the usual ones.
 from magiclens.testing.annealer import AnnealerContract
 from magiclens.testing.art import ArtContract
 from magiclens.testing.encoder import EncoderContract
+from magiclens.testing.executor import ExecutorContract
 from magiclens.testing.exporter import ExporterContract
 from magiclens.testing.finisher import FinisherContract
 from magiclens.testing.integrator import IntegratorContract
@@ -26,6 +27,7 @@ __all__ = [
     "AnnealerContract",
     "ArtContract",
     "EncoderContract",
+    "ExecutorContract",
     "ExporterContract",
     "FinisherContract",
     "IntegratorContract",

@@ -1,0 +1,48 @@
+"""The contract of executors."""
+
+from __future__ import annotations
+
+import time
+
+from magiclens.contract.executors import Executor
+
+
+class ExecutorContract:
+    """Checks that results come in order, and that an item that fails stops no other.
+
+    Attributes:
+        executor: The executor to test; a subclass sets it.
+    """
+
+    executor: Executor
+
+    def test_results_come_in_the_order_of_the_items(self) -> None:
+        """Also when the first item takes longest."""
+        assert list(self.executor.map(_square_later_when_small, range(5))) == [0, 1, 4, 9, 16]
+
+    def test_no_items_give_no_results(self) -> None:
+        """Nothing to do is no failure."""
+        assert list(self.executor.map(_square_later_when_small, [])) == []
+
+    def test_an_item_that_fails_stops_no_other(self) -> None:
+        """The exception takes the place of the result."""
+        first, error, last = self.executor.map(_inverse, [1.0, 0.0, 2.0])
+        assert (first, last) == (1.0, 0.5)
+        assert isinstance(error, ZeroDivisionError), f"got {error!r} for an item that raises ZeroDivisionError"
+
+    def test_it_may_be_stopped_before_the_end(self) -> None:
+        """Closing the iterator ends the work; the executor can be used again."""
+        results = self.executor.map(_square_later_when_small, range(100))
+        assert next(results) == 0
+        results.close()  # type: ignore[attr-defined]
+        assert list(self.executor.map(_square_later_when_small, [3])) == [9]
+
+
+# functions of the module, not of a test: executors may send them to other processes
+def _square_later_when_small(number: int) -> int:
+    time.sleep(0.1 / (number + 1))
+    return number * number
+
+
+def _inverse(number: float) -> float:
+    return 1 / number
