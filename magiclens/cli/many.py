@@ -12,6 +12,7 @@ from magiclens.cli.common import (
     ExecutorName,
     ExecutorSettings,
     Quiet,
+    Sandbox,
     SpecFile,
     Traceback,
     chosen_executor,
@@ -41,6 +42,7 @@ def sweep_command(
         Path | None, typer.Option("--out", metavar="DIR", help="The sweep's folder.", show_default="out/NAME-sweep")
     ] = None,
     executor: ExecutorName = "serial",
+    sandbox: Sandbox = False,
     quiet: Quiet = False,
     as_json: AsJson = False,
     traceback: Traceback = False,
@@ -56,7 +58,8 @@ def sweep_command(
 
         end_on_sigterm()
         worker, registry = chosen_executor(executor, executor_settings)
-        done = sweep_spec(spec, settings, out, worker, registry, print_no_note if quiet or as_json else print_note)
+        say = print_no_note if quiet or as_json else print_note
+        done = sweep_spec(spec, settings, out, worker, registry, say, sandbox)
         print_result(lambda: sweep_text(done), lambda: sweep_data(done), quiet, as_json)
         if done.failed:
             raise typer.Exit(1)

@@ -32,6 +32,7 @@ def sweep_spec(
     executor: Executor | None = None,
     registry: Registry | None = None,
     say: Callable[[str], None] = lambda _: None,
+    sandbox: bool = False,
 ) -> Sweep:
     """Run a spec with every combination of some values, and write the sheet that compares the lenses.
 
@@ -44,12 +45,13 @@ def sweep_spec(
         executor: Where runs are made; one after the other in this process by default.
         registry: Installed stages.
         say: Is given one line of text after each run.
+        sandbox: Whether files outside of the spec's folder are mistakes.
 
     Raises:
         InputError: A setting or one of the resulting specs is wrong; nothing has been run then.
     """
     found, registry = combinations(settings), registry or Registry.load()
-    plans = {one: load_plan(spec, one.overrides, registry) for one in found}
+    plans = {one: load_plan(spec, one.overrides, registry, sandbox) for one in found}
     folder = Path(out_dir or Path("out", f"{plans[found[0]].spec.name}-sweep"))
     _refuse_other_folders(folder)
     results = {one: finished_manifest(plan, folder / one.folder) for one, plan in plans.items()}

@@ -77,10 +77,11 @@ def test_sandbox_does_not_tell_whether_a_file_is_there(folder: Path, registry: R
     assert texts[0] == texts[1]
 
 
-@pytest.mark.parametrize("command", ["check", "plan", "run"])
+@pytest.mark.parametrize("command", ["check", "plan", "run", "sweep --set seed=1,2"])
 def test_commands_refuse_it_with_exit_code_2(command: str, folder: Path) -> None:
     spec = installed(folder, "../outside.png")
-    done = CliRunner().invoke(app, [command, str(spec), "--sandbox"])
+    name, *more = command.split()
+    done = CliRunner().invoke(app, [name, str(spec), "--sandbox", *more])
     assert done.exit_code == 2
     assert f"error: {spec}:5: scenario.target.image: '../outside.png' is outside of the spec's folder" in done.output
     assert sorted(path.name for path in folder.iterdir()) == ["a.yaml", "inside.png", "link.png", "way"]
