@@ -24,7 +24,11 @@ def rotating(lenses: Lenses) -> Run:
     return lenses.shipped("rotating")
 
 
-@pytest.mark.parametrize("name", SHIPPED)
+LONG = {"printed-rotating", "printed-universal", "question-answer-universal"}
+"""Specs whose small lenses take longest; each has a sister among the others."""
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.tools] * (n in LONG)) for n in SHIPPED])
 def test_the_lens_of_every_spec_is_a_solid_that_shows_its_targets(name: str, lenses: Lenses) -> None:
     run = lenses.shipped(name)
     metrics, views = run.manifest["metrics"], run.result.scene.views

@@ -166,6 +166,7 @@ def test_no_facet_shows_its_tile_worse_than_its_lenslet_did(make: Callable[[], S
     assert same.mean() < 0.5
 
 
+@pytest.mark.tools
 def test_refined_facets_stand_where_walls_take_least_light(matched: tuple[Scene, HeightField]) -> None:
     """Their edges and their rays are not those of the lenslets that were placed before."""
     scene, built = matched

@@ -120,6 +120,7 @@ def test_codesign_improves_the_picture_and_keeps_the_source(lenses: Lenses) -> N
     assert not (plain.folder / "given").exists()
 
 
+@pytest.mark.tools
 def test_the_same_spec_gives_the_same_bytes(run: Run, spec: Path, tmp_path: Path) -> None:
     again = run_spec(spec, tmp_path / "again")
     names = [{p.relative_to(f).as_posix() for p in f.rglob("*") if p.is_file()} for f in (run.folder, again.folder)]
