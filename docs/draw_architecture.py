@@ -59,7 +59,7 @@ STEPS = (
     Step(solid_from_heights, "a closed mesh"),
     Step(Finisher.finish),
     Step(transports, "only if there is an encoder"),
-    Step(Encoder.encode, "new sources; codesign starts again at match"),
+    Step(Encoder.encode, "new sources; codesign starts again at match, or at refine if that can go on"),
     Step(Exporter.export, writes="files"),
     Step(Renderer.render, writes="pictures"),
     Step(nothing, ", ".join(a.name for a in mlens_analyses()), "numbers", "Analysis.compute"),

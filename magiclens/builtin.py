@@ -76,6 +76,7 @@ def mlens_analyses() -> Sequence[Analysis]:
     from magiclens.analysis.leaks import LEAKS
     from magiclens.analysis.overlap import OVERLAP
     from magiclens.analysis.picture_error import PICTURE_ERROR
+    from magiclens.analysis.ray_error import RAY_ERROR
     from magiclens.analysis.secrecy import SECRECY
     from magiclens.analysis.source_changes import SOURCE_CHANGES
     from magiclens.analysis.stable_zone import STABLE_ZONE
@@ -84,7 +85,7 @@ def mlens_analyses() -> Sequence[Analysis]:
     from magiclens.analysis.warp import WARP
 
     shown = [AS_MADE, CONTACT_SHEET, STABLE_ZONE, TOLERANCES]
-    figures = [*shown, WARP, SECRECY, PICTURE_ERROR, SURFACE, ANNEALING_EFFECT, OVERLAP]
+    figures = [*shown, WARP, SECRECY, PICTURE_ERROR, SURFACE, RAY_ERROR, ANNEALING_EFFECT, OVERLAP]
     return [*figures, IDEAL_PICTURE, SOURCE_CHANGES, LEAKS]
 
 

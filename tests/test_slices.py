@@ -20,7 +20,7 @@ from magiclens.exporting.slices import Sl1, Slices
 from magiclens.geometry.solid import volume
 from magiclens.plan.compile import load_plan
 from magiclens.profiles.machines import Printer, machines
-from magiclens.simulation.as_printed import as_printed
+from magiclens.simulation.as_printed import as_printed, in_layers
 from toys import TOYS, SpecWriter, registry_of
 
 MILLIMETRE = {"dpi_x": 25.4, "dpi_y": 25.4, "layer": "1mm"}
@@ -173,17 +173,19 @@ def test_diffused_columns_have_the_right_mean_height(tmp_path: Path) -> None:
     assert (np.diff(diffused.astype(int), axis=0) <= 0).all(), "no voxel hangs in the air"
 
 
-def test_diffused_slices_are_what_is_simulated(tmp_path: Path) -> None:
+@pytest.mark.parametrize("process", [{}, {"spread": "0.1mm"}])
+def test_diffused_slices_are_what_is_simulated(tmp_path: Path, process: dict[str, str]) -> None:
     solid = bumpy(None)
-    voxels, facts, _ = stack(solid, tmp_path, dpi_x=508.0, dpi_y=508.0, layer="50um", slicing="diffused")
+    options = {"dpi_x": 508.0, "dpi_y": 508.0, "layer": "50um", "slicing": "diffused", "process": process}
+    voxels, facts, _ = stack(solid, tmp_path, **options)
     assert facts["slicing"] == "diffused"
     profile = machines()["sla"]
-    raw = {"dpi": [508, 508], "layer": "50um", "blur": "0mm", "polish": "0mm", "slicing": "diffused"}
+    own = {"blur": process.get("spread", "0mm"), "polish": "0mm"}
+    raw = {"dpi": [508, 508], "layer": "50um", **own, "slicing": "diffused"}
     printer = profile.model.model_validate({**profile.options, **raw})
     assert isinstance(printer, Printer)
-    made = as_printed(solid, printer)
-    assert made.grid == voxels.shape[1:]
-    z = made.vertices[: voxels[0].size, 2].reshape(made.grid)
+    z, _, _ = in_layers(solid, printer)
+    assert z.shape == voxels.shape[1:]
     assert np.array_equal(np.rint(z / 0.05), np.maximum(voxels.sum(axis=0), 1))
 
 

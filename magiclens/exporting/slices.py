@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from io import BytesIO
 from pathlib import Path
@@ -18,7 +19,9 @@ from magiclens.contract.errors import InputError
 from magiclens.contract.stages import Exporter
 from magiclens.contract.units import LENGTH, Length
 from magiclens.exporting.archive import entry
+from magiclens.processes.diffusion import diffusion_weights
 from magiclens.processes.layers import Grey, Slicing
+from magiclens.processes.linear import LinearProcess
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -29,6 +32,8 @@ _MOST_PIXELS = 10**8
 """Most pixels of a layer; more need more memory than a desktop has."""
 _MOST_LAYERS = 10**5
 """Most layers; their names have five digits."""
+_SWING = 2
+"""Layers above the highest point of a solid that error diffusion may use."""
 _LEAST_LAYER_MM = 1e-6
 """Least height of a layer: far less than a printer can do."""
 
@@ -49,6 +54,9 @@ class LayerStack(Exporter):
         "plain", description="how heights become layers: plain rounding, or error diffusion, which leaves no stairs"
     )
     grey: Grey | None = Field(None, description="exposure in steps on top of columns; black and white if left out")
+    process: LinearProcess = Field(
+        {}, validate_default=True, description="what the machine evens out; error diffusion puts its noise there"
+    )
 
     def _grid(self, solid: Solid) -> VoxelGrid:
         """Where the voxels are. Raises InputError if the stack would be too large."""
@@ -56,6 +64,9 @@ class LayerStack(Exporter):
 
         grid = VoxelGrid.around(solid, (25.4 / self.dpi_x, 25.4 / self.dpi_y), self.layer)
         layers, rows, columns = grid.shape
+        if self.slicing == "diffused":
+            layers += _SWING
+            grid = replace(grid, shape=(layers, rows, columns))
         if rows * columns > _MOST_PIXELS:
             wish = f"a layer would have {columns} x {rows} pixels, more than {_MOST_PIXELS:,}"
             lower = f"lower dpi_x and dpi_y, now {self.dpi_x:g} and {self.dpi_y:g}"
@@ -72,14 +83,15 @@ class LayerStack(Exporter):
         from magiclens.exporting.voxels import grey_layers, layers
 
         size, filled = (grid.shape[2], grid.shape[1]), 0.0
+        weights = diffusion_weights(self.process, grid.pixel_mm)
         if self.grey:
             share = self.grey.share_of_pixels()
-            for pixels, changed in grey_layers(solid, grid, self.slicing, self.grey):
+            for pixels, changed in grey_layers(solid, grid, self.slicing, self.grey, weights):
                 if changed:
                     filled = float(np.bincount(pixels.ravel(), minlength=256) @ share)
                 yield Image.fromarray(pixels) if changed else None, filled
         else:
-            for bitmap, changed in layers(solid, grid, self.slicing):
+            for bitmap, changed in layers(solid, grid, self.slicing, weights):
                 if changed:
                     filled = float(np.bitwise_count(bitmap).sum(dtype=np.int64))
                 yield Image.frombytes("1", size, bitmap.tobytes()) if changed else None, filled

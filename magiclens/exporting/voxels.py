@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from magiclens.contract.artifacts import FloatArray, IntArray, Solid
 from magiclens.exporting.voxels_kernels import RowedMesh, VoxelCentres, flip, sort_crossings
 from magiclens.geometry.columns import rows_at
+from magiclens.processes.diffusion import FLOYD_STEINBERG
 from magiclens.processes.layers import WHOLE_LAYERS, Grey, Slicing, tops_of
 
 Bitmap = NDArray[np.uint8]
@@ -65,7 +66,9 @@ class VoxelGrid:
         return self.first_mm[1] - np.arange(self.shape[1]) * self.pixel_mm[1]
 
 
-def layers(solid: Solid, grid: VoxelGrid, slicing: Slicing = "plain") -> Iterator[tuple[Bitmap, bool]]:
+def layers(
+    solid: Solid, grid: VoxelGrid, slicing: Slicing = "plain", weights: FloatArray = FLOYD_STEINBERG
+) -> Iterator[tuple[Bitmap, bool]]:
     """Every layer from the lowest up, and whether it differs from the one before, which the first always does.
 
     All layers share their memory: use one before asking for the next.
@@ -75,8 +78,9 @@ def layers(solid: Solid, grid: VoxelGrid, slicing: Slicing = "plain") -> Iterato
         grid: Where its voxels are.
         slicing: Whether voxels are filled if their centres lie in the solid, or the heights of columns are rounded by
             error diffusion; then what overhangs is filled down to the bottom.
+        weights: Of error diffusion, see ``diffusion_weights``.
     """
-    starts, places = _crossings(solid, grid) if slicing == "plain" else _diffused(solid, grid)
+    starts, places = _crossings(solid, grid) if slicing == "plain" else _diffused(solid, grid, weights)
     bitmap = np.zeros((grid.shape[1], -(-grid.shape[2] // 8)), np.uint8)
     for k, (start, end) in enumerate(pairwise(starts)):
         flip(bitmap, places[start:end], grid.shape[2])
@@ -84,14 +88,14 @@ def layers(solid: Solid, grid: VoxelGrid, slicing: Slicing = "plain") -> Iterato
 
 
 def grey_layers(
-    solid: Solid, grid: VoxelGrid, slicing: Slicing, grey: Grey
+    solid: Solid, grid: VoxelGrid, slicing: Slicing, grey: Grey, weights: FloatArray = FLOYD_STEINBERG
 ) -> Iterator[tuple[NDArray[np.uint8], bool]]:
     """The same as ``layers`` in 8-bit pixels (rows, columns): 255 where a layer is whole, less on top of columns.
 
     What overhangs is filled down to the bottom. ``grey`` says how exposure and height go together.
     """
     values, shares = grey.steps()
-    order, starts = _by_top(_tops(solid, grid, slicing, shares), grid.shape[0] * len(shares))
+    order, starts = _by_top(_tops(solid, grid, slicing, weights, shares), grid.shape[0] * len(shares))
     layer = np.zeros(grid.shape[1:], np.uint8)
     layer.ravel()[order[starts[1] :]] = 255  # columns that are not empty
     for k in range(grid.shape[0]):
@@ -108,23 +112,26 @@ def grey_layers(
         yield layer, changed
 
 
-def _diffused(solid: Solid, grid: VoxelGrid) -> tuple[IntArray, IntArray]:
+def _diffused(solid: Solid, grid: VoxelGrid, weights: FloatArray) -> tuple[IntArray, IntArray]:
     """The same as ``_crossings`` for columns whose heights are rounded by error diffusion."""
-    order, starts = _by_top(_tops(solid, grid, "diffused", WHOLE_LAYERS), grid.shape[0])
+    order, starts = _by_top(_tops(solid, grid, "diffused", weights), grid.shape[0])
     # columns that are not empty begin in the lowest layer; each then ends in the layer above its last
     below = starts[1:-1]
     places = np.concatenate([order[below[0] :], order[below[0] : below[-1]]])
     return np.concatenate([[0], len(order) - below[0] + below - below[0]]), places
 
 
-def _tops(solid: Solid, grid: VoxelGrid, slicing: Slicing, shares: FloatArray) -> IntArray:
+def _tops(
+    solid: Solid, grid: VoxelGrid, slicing: Slicing, weights: FloatArray, shares: FloatArray = WHOLE_LAYERS
+) -> IntArray:
     """(rows * columns,) tops of the columns, see ``tops_of``."""
     from magiclens.geometry.columns import top_heights
 
     floor = grid.first_mm[2] - grid.layer_mm / 2
     heights = np.nan_to_num(top_heights(solid, grid.columns_mm(), grid.rows_mm()) - floor, nan=0.0)
-    # diffusion may put a column one layer above the solid's highest point; there is no layer for it
-    return np.minimum(tops_of(heights, grid.layer_mm, slicing, shares), grid.shape[0] * len(shares)).ravel()
+    tops = tops_of(heights, grid.layer_mm, slicing, shares, weights)
+    # diffusion may put a column above the highest layer
+    return np.minimum(tops, grid.shape[0] * len(shares)).ravel()
 
 
 def _by_top(tops: IntArray, highest: int) -> tuple[IntArray, IntArray]:

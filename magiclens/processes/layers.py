@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from magiclens.contract.artifacts import FloatArray, IntArray
+from magiclens.processes.diffusion import FLOYD_STEINBERG
 
 Slicing = Literal["plain", "diffused"]
 """``plain`` rounds every column of pixels by itself, as slicers do; ``diffused`` passes errors on to its neighbours."""
@@ -65,18 +66,25 @@ class Grey(BaseModel):
         return filled
 
 
-def tops_of(heights: FloatArray, layer_mm: float, slicing: Slicing, shares: FloatArray = WHOLE_LAYERS) -> IntArray:
+def tops_of(
+    heights: FloatArray,
+    layer_mm: float,
+    slicing: Slicing,
+    shares: FloatArray = WHOLE_LAYERS,
+    weights: FloatArray = FLOYD_STEINBERG,
+) -> IntArray:
     """The top of each column of pixels as a number: ``whole layers * L + step``, for ``shares[step]`` of a layer more.
 
     Plain rounding turns a gentle slope into stairs, which are wide, so that no finish evens them out. Error diffusion
-    (R. W. Floyd and L. Steinberg, "An adaptive algorithm for spatial greyscale", Proc. SID 17, 1976) gives columns
-    either of two neighbouring tops in turns: the mean is right everywhere, and what is wrong is as fine as the pixels.
+    gives columns one or the other of neighbouring tops in turns: the mean is right everywhere, and what is wrong is as
+    fine as the pixels.
 
     Args:
         heights: (rows, columns) of the columns, mm.
         layer_mm: height of a layer.
         slicing: how heights are rounded.
         shares: (L,) of a layer's height, see ``Grey``.
+        weights: Of error diffusion, see ``diffusion_weights``.
 
     Returns:
         (rows, columns) int32.
@@ -87,10 +95,11 @@ def tops_of(heights: FloatArray, layer_mm: float, slicing: Slicing, shares: Floa
         whole = np.floor(z)
         steps = np.searchsorted(between, z - whole, side="right")
         return np.asarray(whole * len(shares) + steps, np.int32)
-    from magiclens.processes.layers_kernels import diffuse_errors
+    from magiclens.processes.layers_kernels import Rounding, diffuse_errors
 
     tops = np.zeros(heights.shape, np.int32)
-    diffuse_errors(np.asarray(heights, np.float32), float(layer_mm), shares, between, tops)
+    rounding = Rounding(float(layer_mm), shares, between, weights.astype(np.float32))
+    diffuse_errors(np.asarray(heights, np.float32), rounding, tops)
     return tops
 
 

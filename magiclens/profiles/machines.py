@@ -192,7 +192,7 @@ class Printer(Machine):
     def exporters(self) -> dict[str, dict[str, Any]]:
         """Options for slices at the machine's own resolution."""
         slices: dict[str, Any] = {"dpi_x": self.dpi[0], "dpi_y": self.dpi[1], "layer": LENGTH.text(self.layer)}
-        slices["slicing"] = self.slicing
+        slices |= {"slicing": self.slicing, "process": self.linear_process.model_dump(mode="json")}
         if self.grey:
             slices["grey"] = self.grey.model_dump(mode="json")
         return {"slices": slices, "sl1": {**slices, "bed": [LENGTH.text(side) for side in self.bed]}}

@@ -56,6 +56,8 @@ _METRIC_LABELS = {
     "self_intersections": "Faces that cut others",
     "as_made_psnr_db": "PSNR as the machine makes the lens, simulated",
     "fabrication_loss_db": "PSNR lost by the machine's layers, blur and polish, simulated",
+    "ray_error_plain_mm": "Ray error by layers that are rounded plainly, rms inside facets",
+    "ray_error_diffused_mm": "Ray error by layers that are rounded by error diffusion",
     "tolerance_shift_x_mm": "Sheet may lie aside by, each costing 3 dB of the worst view",
     "tolerance_shift_y_mm": "Sheet may lie higher or lower by",
     "tolerance_rotation_deg": "Sheet may be turned by",

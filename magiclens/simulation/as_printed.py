@@ -8,9 +8,12 @@ import numpy as np
 
 from magiclens.contract.artifacts import FloatArray, Solid
 from magiclens.geometry.solid import solid_from_raster
+from magiclens.processes.diffusion import diffusion_weights
 from magiclens.processes.layers import layers_of_tops, tops_of
 from magiclens.profiles.machines import Printer
 
+Columns = tuple[FloatArray, FloatArray, FloatArray]
+"""(rows, columns) heights of columns of pixels, mm; (columns,) their x, ascending; (rows,) their y, descending, mm."""
 _MOST_PIXELS, _MOST_POINTS = 40_000_000, 8_000_000
 """Most columns of pixels, which are joined on large lenses, and most points of the surface that is traced."""
 
@@ -22,25 +25,35 @@ def as_printed(solid: Solid, printer: Printer) -> Solid:
     evens the surface out, see ``LinearProcess``. Undercuts fill with support and are lost. The grid's cells are
     vertical (``eye_mm`` is None), and the solid's sides are part of it.
     """
-    layers, x, y = in_layers(solid, printer)
-    even = printer.linear_process.of(layers, _pixels(solid, printer))
-    # the surface is smooth now: every second pixel says all of it
-    every = math.ceil(math.sqrt(even.size / _MOST_POINTS))
-    return solid_from_raster(x[::every], y[::every], np.ascontiguousarray(even[::every, ::every]))
+    return _evened(in_layers(solid, printer), printer, _pixels(solid, printer))
 
 
-def in_layers(solid: Solid, printer: Printer) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The top of a solid in layers, before anything evens it out.
+def without_layers(solid: Solid, printer: Printer) -> Solid:
+    """The same for layers of no height: all that a printer does to a solid but rounding."""
+    return _evened(_columns(solid, printer), printer, _pixels(solid, printer))
 
-    Returns:
-        (rows, columns) heights, mm; (columns,) x, ascending, and (rows,) y, descending, of the columns of pixels, mm.
-    """
+
+def in_layers(solid: Solid, printer: Printer) -> Columns:
+    """The top of a solid in layers, before anything evens it out."""
+    z, x, y = _columns(solid, printer)
+    weights = diffusion_weights(printer.linear_process, _pixels(solid, printer))
+    tops = tops_of(z, printer.layer, printer.slicing, printer.shares, weights)
+    return np.maximum(layers_of_tops(tops, printer.shares), 1) * printer.layer, x, y
+
+
+def _columns(solid: Solid, printer: Printer) -> Columns:
     from magiclens.geometry.columns import top_heights
 
     x, y = (_middles(solid, axis, pixel) for axis, pixel in enumerate(_pixels(solid, printer)))
-    z = np.nan_to_num(top_heights(solid, x, y[::-1]), nan=0.0)
-    tops = tops_of(z, printer.layer, printer.slicing, printer.shares)
-    return np.maximum(layers_of_tops(tops, printer.shares), 1) * printer.layer, x, y[::-1]
+    return np.nan_to_num(top_heights(solid, x, y[::-1]), nan=0.0), x, y[::-1]
+
+
+def _evened(columns: Columns, printer: Printer, pixels: tuple[float, float]) -> Solid:
+    z, x, y = columns
+    even = printer.linear_process.of(z, pixels)
+    # the surface is smooth now: every second pixel says all of it
+    every = math.ceil(math.sqrt(even.size / _MOST_POINTS))
+    return solid_from_raster(x[::every], y[::every], np.ascontiguousarray(even[::every, ::every]))
 
 
 def _pixels(solid: Solid, printer: Printer) -> tuple[float, float]:
