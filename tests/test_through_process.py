@@ -32,6 +32,7 @@ from magiclens.integration.through_process_kernels import (
     raster_slopes,
     raster_slopes_transposed,
 )
+from magiclens.processes.diffusion import FLOYD_STEINBERG, diffusion_weights
 from magiclens.processes.layers import Grey, Slicing, layers_of_tops, tops_of
 from magiclens.processes.linear import LinearProcess, raster_wavenumbers
 from magiclens.profiles.machines import Printer, machines
@@ -235,6 +236,25 @@ class TestLayers:
         slopes = [np.diff(each, axis=1) / 0.05 for each in made]
         plain, diffused = (float(np.sqrt(np.mean((s - 0.01) ** 2))) for s in slopes)
         assert diffused < plain / 4
+
+    @pytest.mark.parametrize("name", ["sla", "lcd-12k", "polyjet-600x300", "polyjet-matte"])
+    def test_what_is_known_of_the_process_leaves_less_of_the_layers(self, name: str) -> None:
+        printer = machines()[name].machine()
+        assert isinstance(printer, Printer)
+        process, pixels, layer = printer.linear_process, printer.pixels_mm, printer.layer
+        across = np.linspace(0, 1, 400)
+        z = 10 + 0.5 * across**2 - across * across[:, None]
+        weights = diffusion_weights(process, pixels)
+        tops = [tops_of(z, layer, "diffused", weights=each) * layer for each in (FLOYD_STEINBERG, weights)]
+        inner = slice(60, -60)
+        left = [process.of(each - z, pixels)[inner, inner] for each in tops]
+        steep = [float(np.hypot(*np.gradient(each, *pixels[::-1])).std()) for each in left]
+        assert steep[1] < 0.5 * steep[0]
+        assert abs(left[1].mean()) < 0.02 * layer
+        assert np.abs(tops[1] - z).max() < 2.5 * layer
+
+    def test_where_nothing_is_evened_out_errors_go_to_the_nearest(self) -> None:
+        assert diffusion_weights(LinearProcess(), (0.1, 0.1)) is FLOYD_STEINBERG
 
     def test_nothing_is_put_beside_the_body(self) -> None:
         z = self.ramp().copy()

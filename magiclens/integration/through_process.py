@@ -37,6 +37,7 @@ from magiclens.integration.through_process_kernels import (
     shown,
 )
 from magiclens.processes.linear import LinearProcess, filtered, raster_wavenumbers
+from magiclens.processes.linear_kernels import spread_evenly
 
 _BLURS_MM = (0.25, 0.1, 0.0)
 """Blurs of the sources, one after the other. A blurred edge has a gradient even far away from it."""
@@ -133,7 +134,9 @@ class WholeTop:
             look_ups=_LOOK_UPS,
         )
         self.pictures = pictures_of(scene, lens.microfacets * self._times // self._block)
-        self._kept = process.kept(raster_wavenumbers((side,) * 2, (fine, fine))).astype(np.float32)
+        self._side, self._process = side, process
+        if process.levelling:
+            self._kept = process.kept(raster_wavenumbers((side,) * 2, (fine, fine))).astype(np.float32)
         waves = raster_wavenumbers((cells + 1,) * 2, (pitch, pitch))
         self._smooth = (1 / (1 + (_SMOOTH_MM * waves) ** 2)).astype(np.float32)
         blocks, channels, nodes = self.raster.blocks, self.pictures.targets.shape[2], self._block + 1
@@ -215,7 +218,7 @@ class WholeTop:
             damping: (B, B) of slopes.
             pull: of the heights.
         """
-        full = np.zeros((2, *self._kept.shape), np.float32)
+        full = np.zeros((2, self._side, self._side), np.float32)
         inner = slice(self.raster.first, self.raster.first + self.raster.blocks * self._block)
         full[:, inner, inner] = damping.repeat(self._block, axis=0).repeat(self._block, axis=1)
         # conjugate gradients on y with x = S^(1/2) y, written with x alone
@@ -242,24 +245,35 @@ class WholeTop:
         return x
 
     def _forces(self, residuals: FloatArray) -> FloatArray:
-        return forces_of_residuals(residuals, self.raster, self.gradients, self._kept.shape)
+        return forces_of_residuals(residuals, self.raster, self.gradients, (self._side,) * 2)
 
     def made(self, heights: FloatArray) -> FloatArray:
         """(R, R) the surface that the process leaves, mm above the reference plane."""
-        return filtered(finer(extended(heights, self._margin), self._times), self._kept)
+        return self._evened(finer(extended(heights, self._margin), self._times))
 
     def _pulled_back(self, forces: FloatArray) -> FloatArray:
         """(G, G) forces on heights, of forces (2, R, R) on slopes of the made surface."""
-        raster = filtered(raster_slopes_transposed(forces, self.raster.pitch), self._kept)
+        raster = self._evened(raster_slopes_transposed(forces, self.raster.pitch))
         return extended_transposed(finer_transposed(raster, self._times), self._margin)
+
+    def _evened(self, raster: FloatArray) -> FloatArray:
+        """(R, R) what the process leaves of a raster. It is its own transpose."""
+        if self._process.levelling:
+            return filtered(raster, self._kept)
+        return spread_evenly(raster, self._process.spread / self.raster.pitch)
 
     def _eased(self, forces: FloatArray) -> FloatArray:
         """(G, G) S times forces on heights."""
         return filtered(forces, self._smooth)
 
     def _allowed(self, heights: FloatArray) -> FloatArray:
-        """The heights, within relief and slope limit."""
+        """The heights, within relief and slope limit; if they are too low or too high, all are moved before any is cut.
+
+        The top of a lens that stands on its source is a dome: its corners look inward.
+        """
         lens = self._lens
+        low, high = float(heights.min()), float(heights.max())
+        heights = heights + max(-lens.relief_mm - low, 0.0) - max(high - lens.relief_mm, 0.0)
         # both rises of a triangle count, hence the root; a little is left for rounding
         rise = 0.999 * math.tan(math.radians(lens.max_slope_deg)) / math.sqrt(2) * lens.pitch_mm / lens.microfacets
         return limit_rises(np.clip(heights, -lens.relief_mm, lens.relief_mm).astype(np.float32), rise)
