@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, ClassVar
@@ -89,6 +90,19 @@ class Painter(Encoder):
         return Scene(scene.lens, tuple(views), scene.reserved)
 
 
+class GoingOn(ToyIntegrator):
+    """Makes what it is given a little flatter, again and again."""
+
+    type: ClassVar[str] = "going-on"
+
+    @property
+    def goes_on(self) -> bool:
+        return True
+
+    def refine(self, scene: Scene, built: HeightField, progress: Progress = silent) -> HeightField:
+        return replace(built, heights_mm=built.heights_mm * 0.9)
+
+
 class OtherExporter(ToyExporter):
     """Writes the same into another file, and one more into a folder."""
 
@@ -103,7 +117,7 @@ class OtherExporter(ToyExporter):
 
 COARSE_PX = 32
 """Side of the targets that are drawn, pixels: nobody looks at them."""
-STAGES = (*TOYS, Painter, OtherExporter)
+STAGES = (*TOYS, Painter, GoingOn, OtherExporter)
 
 
 def size_of(plan: Plan, result: Any) -> Findings:
@@ -317,6 +331,18 @@ def falling(monkeypatch: pytest.MonkeyPatch) -> None:
         return np.full((scene.lens.facets,) * 2, seen.setdefault(key, value))
 
     monkeypatch.setattr("magiclens.rendering.facet_errors.facet_errors", errors)
+
+
+@pytest.mark.usefixtures("traced")
+@pytest.mark.parametrize(("integrator", "designs"), [("toy", 3), ("going-on", 1)])
+def test_codesign_refines_the_same_lens_further_where_the_integrator_can(
+    run: Any, integrator: str, designs: int
+) -> None:
+    watching, _ = run("rounds", "pipeline.codesign=2", *ROUNDS[2:], f"pipeline.integrator={{type: {integrator}}}")
+    count = watching.done.count
+    assert count("matcher toy") == count("annealer toy") == designs
+    assert count("encoder painter") == 3
+    assert count(f"integrator {integrator}") == designs + 3  # built, and refined for the source and both edits of it
 
 
 @pytest.mark.usefixtures("traced", "falling")

@@ -146,7 +146,12 @@ class Annealer(Stage):
 
 
 class Integrator(Stage):
-    """Turns chosen transformations into heights, iterating orientation (4.3) and integration (4.5)."""
+    """Turns chosen transformations into heights, iterating orientation (4.3) and integration (4.5).
+
+    Attributes:
+        goes_on: Whether ``refine`` may be given what it has made, for an edited source. Co-design then shapes one lens
+            further and further, instead of designing another one in every round.
+    """
 
     kind: ClassVar[str] = "integrator"
 
@@ -166,10 +171,15 @@ class Integrator(Stage):
             StageError: Some facet cannot be made; the message names it.
         """
 
+    @property
+    def goes_on(self) -> bool:
+        """See ``Integrator``."""
+        return False
+
     def refine(self, scene: Scene, built: HeightField, progress: Progress = silent) -> HeightField:
         """Improve the final height field by what all eyes see through it; by default, it stays as it is.
 
-        This is called once, before meshing, and only if the matcher uses pictures.
+        This is called before meshing, and only if the matcher uses pictures.
 
         Args:
             scene: The lens and what it must show.

@@ -54,6 +54,11 @@ class Poisson(Integrator):
         None, description="what the machine evens out: the whole top is refined by what it shows as made"
     )
 
+    @property
+    def goes_on(self) -> bool:
+        """See ``Integrator``: facets that the process joins are one surface, which keeps no choice of patches."""
+        return self.process is not None and self.refinement > 0
+
     def integrate(self, scene: Scene, assignment: Assignment, progress: Progress = silent) -> HeightField:
         """Iterate orientation and integration to convergence."""
         from magiclens.integration.iterate import check_relief, iterate

@@ -57,8 +57,6 @@ class Designer:
         Returns:
             The shape, and its closed mesh before any finisher.
         """
-        from magiclens.geometry.solid import solid_from_heights
-
         plan, matcher = self._plan, self._plan.matcher.stage
         scene = self.shown(painted)
         if not matcher.uses_pictures:
@@ -69,11 +67,19 @@ class Designer:
         shape = self._build(scene, candidates)
         if plan.spec.pipeline.rematch:
             shape = self._rematch(scene, shape)
-        if matcher.uses_pictures:
-            inputs = {"scene": scene, "built": shape.height_field}
-            refined = self._steps.stage(plan.integrator, "refine", inputs, partial(check_height_field, plan.lens))
-            shape = replace(shape, height_field=refined)
-        return shape, self._steps.derived("meshing", solid_from_heights, height_field=shape.height_field)
+        return self._refine(scene, shape) if matcher.uses_pictures else (shape, self._meshed(shape))
+
+    def redesign(self, painted: Kept[Scene], shape: Shape) -> tuple[Shape, Kept[Solid]]:
+        """Design for edited sources: the shape refined further where that is possible, otherwise another one.
+
+        Args:
+            painted: The scene with the sources to design for.
+            shape: What was designed for the sources before.
+        """
+        matcher, integrator = self._plan.matcher.stage, self._plan.integrator.stage
+        if matcher.uses_pictures and integrator.goes_on:
+            return self._refine(self.shown(painted), shape)
+        return self.design(painted)
 
     def shown(self, painted: Kept[Scene]) -> Kept[Scene]:
         """The scene as the medium of the plan shows it."""
@@ -112,6 +118,18 @@ class Designer:
         inputs = {"scene": self._given, "transports": transports}
         check = lambda found: check_encoded(self._given.value, found)  # noqa: E731
         return self._steps.stage(step, "encode", inputs, check, self._draws["encoder"])
+
+    def _refine(self, scene: Kept[Scene], shape: Shape) -> tuple[Shape, Kept[Solid]]:
+        inputs = {"scene": scene, "built": shape.height_field}
+        check = partial(check_height_field, self._plan.lens)
+        refined = self._steps.stage(self._plan.integrator, "refine", inputs, check)
+        shape = replace(shape, height_field=refined)
+        return shape, self._meshed(shape)
+
+    def _meshed(self, shape: Shape) -> Kept[Solid]:
+        from magiclens.geometry.solid import solid_from_heights
+
+        return self._steps.derived("meshing", solid_from_heights, height_field=shape.height_field)
 
     def _build(self, scene: Kept[Scene], candidates: Kept[Candidates]) -> Shape:
         """Choose among candidates and build what was chosen."""

@@ -86,12 +86,12 @@ def make_lens(plan: Plan, given: Kept[Scene], folder: Path, steps: Steps) -> Dra
         folder: The run folder, for all files.
         steps: Does the steps.
     """
-    designer, painted = Designer(plan, steps, given), given
+    designer = Designer(plan, steps, given)
+    shape, unfinished = designer.design(given)
     # while lens and sources change in turns the mesh need not be finished: only the last one is exported
     for _ in range(plan.spec.pipeline.codesign):
-        _, solid = designer.design(painted)
-        painted = designer.encode(designer.transports(solid))
-    shape, unfinished = designer.design(painted)
+        painted = designer.encode(designer.transports(unfinished))
+        shape, unfinished = designer.redesign(painted, shape)
     solid = steps.stage(plan.finisher, "finish", {"scene": given, "solid": unfinished}, check_solid)
     transports = designer.transports(solid)
     painted = designer.encode(transports)
