@@ -63,6 +63,7 @@ SMALL: dict[str, tuple[str, ...]] = {
         "report.analyses=[contact-sheet]",
     ),
     "printed-single": (HEART,),
+    "printed-lcd": (HEART,),
     "printed-rotating": (HEART_AND_STAR, "scenario.angles=[0deg, 90deg]"),
     "printed-universal": ("lens.microfacets=24",),
     "universal-animation": ("scenario.frames={art: worm, length: 2}", "lens.microfacets=24"),
