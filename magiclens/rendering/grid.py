@@ -15,6 +15,9 @@ import numpy as np
 from magiclens.contract.artifacts import FloatArray, Lens, Solid
 from magiclens.contract.errors import InputError
 
+BLOCK_CELLS = 8
+"""Cells along a side of the blocks whose heights are bounded, so that rays pass over them, or below, at little cost."""
+
 
 class Grid(NamedTuple):
     """The regular grid of a solid's top, lens frame; flat, because numba hands no nested tuples to threads.
@@ -23,6 +26,10 @@ class Grid(NamedTuple):
         us: (columns,) u of the grid's lines, ascending, mm.
         vs: (rows,) v of the grid's lines, descending, mm.
         ws: (rows, columns) w of the vertices.
+        lows: w of the lowest vertex of each block of ``BLOCK_CELLS`` x ``BLOCK_CELLS`` cells.
+        highs: w of its highest vertex.
+        nearby: w of the lowest vertex of each block and of the eight around it.
+        lowest: w of the lowest vertex of all.
         points: (rows, columns, 3) the vertices in space, mm.
         cut_eye: (3,) the cutting eye, mm, or (0, 0, 0) for vertical cells.
         eye_distance: D, the cutting eye's distance from the reference plane, mm; 1 for vertical cells.
@@ -37,6 +44,10 @@ class Grid(NamedTuple):
     us: FloatArray
     vs: FloatArray
     ws: FloatArray
+    lows: FloatArray
+    highs: FloatArray
+    nearby: FloatArray
+    lowest: float
     points: FloatArray
     cut_eye: FloatArray
     eye_distance: float
@@ -65,13 +76,26 @@ def grid_of(solid: Solid, lens: Lens) -> Grid:
     height_and_floor = float(points[..., 2].max()), *_floor(solid.vertices[rows * columns :])
     if solid.eye_mm is None:
         us, vs, ws = points[0, :, 0].copy(), points[:, 0, 1].copy(), points[..., 2].copy()
-        return Grid(us, vs, ws, points, np.zeros(3), 1.0, True, *height_and_floor)
+        return Grid(us, vs, ws, *_bounds(ws), points, np.zeros(3), 1.0, True, *height_and_floor)
     # a copy: to numba, arrays that are read-only are another type, for which it would compile the tracer again
     eye, distance = solid.eye_mm.copy(), float(solid.eye_mm[2] - lens.thickness_mm)
     w = distance / (eye[2] - points[..., 2])
     flat = eye[:2] + (points[..., :2] - eye[:2]) * w[..., None]
     us, vs = flat[0, :, 0].copy(), flat[:, 0, 1].copy()
-    return Grid(us, vs, w, points, eye, distance, False, *height_and_floor)
+    return Grid(us, vs, w, *_bounds(w), points, eye, distance, False, *height_and_floor)
+
+
+def _bounds(ws: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+    """``lows``, ``highs``, ``nearby`` and ``lowest`` of a ``Grid``; vertices between blocks belong to both."""
+    lows = highs = ws
+    for axis in (0, 1):
+        first = np.arange(0, ws.shape[axis] - 1, BLOCK_CELLS)
+        border = np.minimum(first + BLOCK_CELLS, ws.shape[axis] - 1)
+        lows = np.minimum(np.minimum.reduceat(lows, first, axis), lows.take(border, axis))
+        highs = np.maximum(np.maximum.reduceat(highs, first, axis), highs.take(border, axis))
+    around = np.pad(lows, 1, mode="edge")
+    nearby = np.lib.stride_tricks.sliding_window_view(around, (3, 3)).min(axis=(2, 3))
+    return lows, highs, nearby, float(lows.min())
 
 
 def _floor(below: FloatArray) -> tuple[float, float, float, float]:

@@ -17,8 +17,7 @@ from magiclens.kernels.compiler import njit
 from magiclens.kernels.sampling import rotated_grid
 from magiclens.kernels.threads import in_threads
 from magiclens.optics.medium import Slab
-from magiclens.optics.refraction import refract, transmittance
-from magiclens.rendering.grid import Grid
+from magiclens.rendering.grid import BLOCK_CELLS, Grid
 
 _MOST_EVENTS = 8
 """Number of refractions and reflections after which a path counts as lost."""
@@ -31,6 +30,8 @@ _EITHER, _UPPER, _LOWER = 0, 1, 2
 """Halves of a grid's cell: upper right (top left, bottom right, top right) and lower left; either of them."""
 _MISSED, _LEFT_GRID = 2.0, 3.0
 """Shares of a segment, beyond its end at 1, that say that it meets no surface, or that it leaves the grid before."""
+_LOST = (0.0, 0.0, 0.0)
+"""Source point and transmission of a path that does not reach the source."""
 
 
 class PictureRows(NamedTuple):
@@ -56,13 +57,17 @@ def _trace_part(part, grid, slab, eye, rows, hits):
     """Part of the rows, see ``trace_rows``; hits: to fill."""
     samples = rows.samples
     pixel = rows.size / rows.resolution
+    places = np.zeros((samples * samples, 2))
+    for k in range(samples * samples):
+        places[k] = rotated_grid(k, samples)
+    cell = (np.int64(0), np.int64(0))
     for row in range(part.first, part.end):
         i = rows.first + row
         for j in range(rows.resolution):
             for k in range(samples * samples):
-                right, down = rotated_grid(k, samples)
+                right, down = places[k, 0], places[k, 1]
                 qx, qy = (j + right) * pixel - 0.5 * rows.size, 0.5 * rows.size - (i + down) * pixel
-                x, y, weight = _follow(grid, slab, eye, qx, qy)
+                (x, y, weight), cell = _follow(grid, slab, eye, (qx, qy), cell)
                 hits[row, j, k, 0], hits[row, j, k, 1], hits[row, j, k, 2] = x, y, weight
 
 
@@ -78,91 +83,124 @@ def trace_rows(grid: Grid, slab: Slab, eye: FloatArray, rows: PictureRows) -> Fl
     Returns:
         (rows, resolution, samples^2, 3) float32: source point x, y, mm, lens frame, and transmission.
     """
-    hits = np.zeros((rows.end - rows.first, rows.resolution, rows.samples**2, 3), np.float32)
+    hits = np.empty((rows.end - rows.first, rows.resolution, rows.samples**2, 3), np.float32)
     in_threads(_trace_part, len(hits), grid, slab, eye, rows, hits)
     return hits
 
 
-@njit(cache=True)
-def _follow(grid, slab, eye, qx, qy):
-    """The path from the eye through (qx, qy) on the reference plane to the source.
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _follow(grid, slab, eye, through, near):
+    """The path from the eye through a point of the reference plane to the source.
 
-    At every surface the ray goes on as ``refract(d, n, eta)`` with the weight ``T``, or, where T < 1/2, as
-    ``d + 2 cos_i n`` with the weight ``1 - T``; T is Fresnel's ``transmittance(cos_i, eta)``. Between surfaces,
-    ``_march`` crosses the grid's cells.
+    At every surface the ray is refracted, with the weight T, or, where T < 1/2, goes on as ``d + 2 cos_i n`` with the
+    weight ``1 - T``; T is Fresnel's transmittance. Between surfaces, ``_march`` crosses the grid's cells.
+
+    Args:
+        grid: the top.
+        slab: the glass.
+        eye: (3,) mm.
+        through: x and y of the point of the reference plane, mm.
+        near: row and column of a cell near the path's first, from which that one is looked for.
 
     Returns:
-        x and y of the source point, mm, and the transmission; all 0 where light is lost.
+        x and y of the source point, mm, and the transmission; all 0 where light is lost. Row and column of the path's
+        first cell.
     """
-    us, vs, ws = grid.us, grid.vs, grid.ws
-    dx, dy, dz = qx - eye[0], qy - eye[1], slab.depth - eye[2]
+    dx, dy, dz = through[0] - eye[0], through[1] - eye[1], slab.depth - eye[2]
     q = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
     dx, dy, dz = dx * q, dy * q, dz * q
-    rise = (grid.highest + _CLEARANCE_MM - eye[2]) / dz
-    x, y, z = eye[0] + dx * rise, eye[1] + dy * rise, grid.highest + _CLEARANCE_MM
+    per_dz = 1.0 / dz
+    z = grid.highest + _CLEARANCE_MM
+    rise = (z - eye[2]) * per_dz
+    x, y = eye[0] + dx * rise, eye[1] + dy * rise
     u0, v0, w0 = _to_grid(grid, x, y, z)
-    u1, v1, w1 = _to_grid(grid, x - dx * z / dz, y - dy * z / dz, 0.0)
-    at = _entry(us, vs, u0, v0, u1 - u0, v1 - v0)
+    u1, v1, w1 = _to_grid(grid, x - dx * z * per_dz, y - dy * z * per_dz, 0.0)
+    at = _entry(grid.us, grid.vs, (u0, v0), (u1, v1))
     if at > 1.0:
-        return 0.0, 0.0, 0.0
+        return _LOST, near
     u0, v0, w0 = u0 + at * (u1 - u0), v0 + at * (v1 - v0), w0 + at * (w1 - w0)
-    x, y, z = _from_grid(grid, u0, v0, w0)
-    r, c = _cell(vs, v0, True), _cell(us, u0, False)
-    if w0 < max(ws[r, c], ws[r, c + 1], ws[r + 1, c], ws[r + 1, c + 1]) and at > 0.0:
-        return 0.0, 0.0, 0.0  # it meets the slab's side
+    r, c = _row(grid.vs, v0, near[0]), _column(grid.us, u0, near[1])
+    cell, ws = (r, c), grid.ws
+    if at > 0.0 and w0 < max(ws[r, c], ws[r, c + 1], ws[r + 1, c], ws[r + 1, c + 1]):
+        return _LOST, cell  # it meets the slab's side
     # the ray goes down, so it is not inside; numba would compile the march apart for literals
     inside, weight, half = dz > 0.0, 1.0, np.int64(_EITHER)
     for _ in range(_MOST_EVENTS):
-        if dz == 0.0:
-            break
-        reach = (grid.highest + 2 * _CLEARANCE_MM - z) / dz if dz > 0.0 else -z / dz
-        u1, v1, w1 = _to_grid(grid, x + dx * reach, y + dy * reach, z + dz * reach)
         # the triangle on which a segment starts is left out, or rounding would find it crossed at once
         at, r, c, half = _march(grid, (u0, v0, w0), (u1, v1, w1), (r, c), half, inside)
         if at >= _MISSED:
             lands = inside and dz < 0.0
             if lands and at == _LEFT_GRID:  # beyond the last facet the slab goes on as far as its sides lean out
-                fx, fy = x - dx * z / dz, y - dy * z / dz
+                fx, fy = x - dx * z * per_dz, y - dy * z * per_dz
                 lands = grid.floor_left <= fx <= grid.floor_right and grid.floor_bottom <= fy <= grid.floor_top
             if lands:
-                return _to_source((x, y, z), (dx, dy, dz), weight, slab)
+                return _to_source((x, y, z), (dx, dy, dz), weight, slab), cell
             break
         u0, v0, w0 = u0 + at * (u1 - u0), v0 + at * (v1 - v0), w0 + at * (w1 - w0)
         x, y, z = _from_grid(grid, u0, v0, w0)
         nx, ny, nz = _facing(grid.points, r, c, half == _UPPER)
         sign = -1.0 if inside else 1.0
         nx, ny, nz = sign * nx, sign * ny, sign * nz
-        eta = 1.0 / slab.ior if inside else slab.ior  # the normal is now on the side that the ray comes from
+        bend = slab.ior if inside else 1.0 / slab.ior  # the normal is now on the side that the ray comes from
         cos_i = -(dx * nx + dy * ny + dz * nz)
-        share = transmittance(max(cos_i, 0.0), eta)
+        share, cos_t = _passing(max(cos_i, 0.0), bend)
         if share >= 0.5:
-            dx, dy, dz = refract(dx, dy, dz, nx, ny, nz, eta)
+            along = bend * cos_i - cos_t
+            dx, dy, dz = bend * dx + along * nx, bend * dy + along * ny, bend * dz + along * nz
             inside = not inside
             weight *= share
         else:
             dx, dy, dz = dx + 2.0 * cos_i * nx, dy + 2.0 * cos_i * ny, dz + 2.0 * cos_i * nz
             weight *= 1.0 - share
-    return 0.0, 0.0, 0.0
+        if dz == 0.0:
+            break
+        per_dz = 1.0 / dz
+        reach = (grid.highest + 2 * _CLEARANCE_MM - z) * per_dz if dz > 0.0 else -z * per_dz
+        u1, v1, w1 = _to_grid(grid, x + dx * reach, y + dy * reach, z + dz * reach)
+    return _LOST, cell
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _passing(cos_i, bend):
+    """Share of light that passes a surface, and the cosine behind it: ``optics.refraction`` with few divisions.
+
+    Args:
+        cos_i: cosine of the angle of incidence, at least 0.
+        bend: index in front of the surface over index behind it.
+
+    Returns:
+        Share, 0 on total reflection, and cosine.
+    """
+    square = 1.0 - (1.0 - cos_i * cos_i) * bend * bend
+    if square <= 0.0:
+        return 0.0, 0.0
+    cos_t = math.sqrt(square)
+    a, b, c, d = bend * cos_i - cos_t, bend * cos_i + cos_t, cos_i - bend * cos_t, cos_i + bend * cos_t
+    q = 1.0 / (b * d)
+    s, p = a * d * q, c * b * q
+    return 1.0 - 0.5 * (s * s + p * p), cos_t
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
 def _to_source(point, direction, weight, slab):
     """Through the flat bottom and the gap: x and y of the source point, mm, and weight; 0 on total reflection."""
     x, y, z = point
     dx, dy, dz = direction
-    weight *= transmittance(-dz, 1.0 / slab.ior)
-    ox, oy, oz = refract(dx, dy, dz, 0.0, 0.0, 1.0, 1.0 / slab.ior)
-    if weight > 0.0 and oz < 0.0:
-        return x - dx * z / dz - ox * slab.gap / oz, y - dy * z / dz - oy * slab.gap / oz, weight
-    return 0.0, 0.0, 0.0
+    share, cos_t = _passing(-dz, slab.ior)
+    if share <= 0.0:
+        return _LOST
+    # the bottom is level: sideways a direction is stretched by the index, downward it becomes the cosine
+    way, onward = -z / dz, slab.gap * slab.ior / cos_t
+    return x + dx * (way + onward), y + dy * (way + onward), weight * share
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", forceinline=True)
 def _march(grid, start, end, cell, skipped, inside):
     """Follow a segment through the grid's cells until it crosses the surface.
 
     In each cell the segment's height above a triangle's plane is linear, ``f0 + t df``; it changes triangle where it
-    crosses the cell's diagonal.
+    crosses the cell's diagonal. Cells of a block of which the segment stays clear, by its bounds, are only passed, and
+    a segment that falls is not followed below the lowest vertex.
 
     Args:
         grid: the top.
@@ -176,41 +214,33 @@ def _march(grid, start, end, cell, skipped, inside):
         Share of the segment at the crossing, ``_MISSED`` or ``_LEFT_GRID``; row, column and half of the triangle that
         is crossed.
     """
-    us, vs, ws = grid.us, grid.vs, grid.ws
+    us, vs = grid.us, grid.vs
     (u0, v0, w0), (u1, v1, w1), (r, c) = start, end, cell
     du, dv, dw = u1 - u0, v1 - v0, w1 - w0
-    side = 1.0 if inside else -1.0
+    per_u, per_v = 1.0 / du if du != 0.0 else 0.0, 1.0 / dv if dv != 0.0 else 0.0
     here = 0.0
     while True:
-        wide, tall = us[c + 1] - us[c], vs[r] - vs[r + 1]
-        out_u = ((us[c + 1] if du > 0 else us[c]) - u0) / du if du != 0.0 else 2.0
-        out_v = ((vs[r] if dv > 0 else vs[r + 1]) - v0) / dv if dv != 0.0 else 2.0
+        high = w0 + here * dw
+        block_r, block_c = r // BLOCK_CELLS, c // BLOCK_CELLS
+        if dw < 0.0 and high < grid.nearby[block_r, block_c]:
+            # it may leave the blocks around with nothing left to meet
+            left, right = max(block_c - 1, 0) * BLOCK_CELLS, min((block_c + 2) * BLOCK_CELLS, len(us) - 1)
+            upper, lower = max(block_r - 1, 0) * BLOCK_CELLS, min((block_r + 2) * BLOCK_CELLS, len(vs) - 1)
+            away_u = ((us[right] if du > 0 else us[left]) - u0) * per_u if du != 0.0 else 2.0
+            away_v = ((vs[upper] if dv > 0 else vs[lower]) - v0) * per_v if dv != 0.0 else 2.0
+            if w0 + min(away_u, away_v, 1.0) * dw < grid.lowest:
+                stays = us[0] <= u1 <= us[-1] and vs[-1] <= v1 <= vs[0]
+                return _MISSED if stays else _LEFT_GRID, r, c, _EITHER
+        out_u = ((us[c + 1] if du > 0 else us[c]) - u0) * per_u if du != 0.0 else 2.0
+        out_v = ((vs[r] if dv > 0 else vs[r + 1]) - v0) * per_v if dv != 0.0 else 2.0
         leave = min(out_u, out_v, 1.0)
-        # s and t run from 0 to 1 along +x and -y of the cell; on its diagonal they are equal
-        s0, ds = (u0 - us[c]) / wide, du / wide
-        t0, dt = (vs[r] - v0) / tall, -dv / tall
-        a, b, d, e = ws[r, c], ws[r, c + 1], ws[r + 1, c], ws[r + 1, c + 1]
-        bend = (t0 - s0) / (ds - dt) if ds != dt else -1.0
-        for piece in range(2):
-            if piece == 0:
-                first, last = here, bend if here < bend < leave else leave
-            else:
-                if not here < bend < leave:
-                    break
-                first, last = bend, leave
-            middle = 0.5 * (first + last)
-            upper = s0 + ds * middle > t0 + dt * middle
-            half = _UPPER if upper else _LOWER
-            if skipped == half:
-                continue
-            if upper:
-                f0, df = a + s0 * (b - a) + t0 * (e - b), ds * (b - a) + dt * (e - b)
-            else:
-                f0, df = a + t0 * (d - a) + s0 * (e - d), dt * (d - a) + ds * (e - d)
-            f0, df = side * (w0 - f0), side * (dw - df)
-            if f0 + df * last > _BELOW and last > first:
-                at = -f0 / df if df != 0.0 else first
-                return min(max(at, first), last), r, c, half
+        low = w0 + leave * dw
+        low, high = min(low, high), max(low, high)
+        clear = high < grid.lows[block_r, block_c] if inside else low > grid.highs[block_r, block_c]
+        if not clear:
+            at, half = _meet(grid, (start, (du, dv, dw)), (r, c), skipped, (here, leave), inside)
+            if at < _MISSED:
+                return at, r, c, half
         skipped = _EITHER
         if leave >= 1.0:
             return _MISSED, r, c, _EITHER
@@ -223,7 +253,54 @@ def _march(grid, start, end, cell, skipped, inside):
             return _LEFT_GRID, r, c, _EITHER
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _meet(grid, segment, cell, skipped, span, inside):
+    """Where a segment crosses the surface in a cell, see ``_march``.
+
+    Args:
+        grid: the top.
+        segment: u, v, w of its start, and of the way to its end.
+        cell: row and column.
+        skipped: half of the cell that is left out; ``_EITHER`` for none.
+        span: shares of the segment at which it enters and leaves the cell.
+        inside: whether it runs within the glass.
+
+    Returns:
+        Share of the segment at the crossing, or ``_MISSED``; half of the cell that is crossed.
+    """
+    ((u0, v0, w0), (du, dv, dw)), (r, c), (here, leave) = segment, cell, span
+    us, vs, ws = grid.us, grid.vs, grid.ws
+    side = 1.0 if inside else -1.0
+    per_wide, per_tall = 1.0 / (us[c + 1] - us[c]), 1.0 / (vs[r] - vs[r + 1])
+    # s and t run from 0 to 1 along +x and -y of the cell; on its diagonal they are equal
+    s0, ds = (u0 - us[c]) * per_wide, du * per_wide
+    t0, dt = (vs[r] - v0) * per_tall, -dv * per_tall
+    a, b, d, e = ws[r, c], ws[r, c + 1], ws[r + 1, c], ws[r + 1, c + 1]
+    bend = (t0 - s0) / (ds - dt) if ds != dt else -1.0
+    for piece in range(2):
+        if piece == 0:
+            first, last = here, bend if here < bend < leave else leave
+        else:
+            if not here < bend < leave:
+                break
+            first, last = bend, leave
+        middle = 0.5 * (first + last)
+        upper = s0 + ds * middle > t0 + dt * middle
+        half = _UPPER if upper else _LOWER
+        if skipped == half:
+            continue
+        if upper:
+            f0, df = a + s0 * (b - a) + t0 * (e - b), ds * (b - a) + dt * (e - b)
+        else:
+            f0, df = a + t0 * (d - a) + s0 * (e - d), dt * (d - a) + ds * (e - d)
+        f0, df = side * (w0 - f0), side * (dw - df)
+        if f0 + df * last > _BELOW and last > first:
+            at = -f0 / df if df != 0.0 else first
+            return min(max(at, first), last), half
+    return _MISSED, _EITHER
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
 def _facing(points, r, c, upper):
     """Upward unit normal, in space, of the upper right or the lower left triangle of a cell."""
     a, d = points[r, c], points[r + 1, c + 1]
@@ -236,7 +313,7 @@ def _facing(points, r, c, upper):
     return nx * q, ny * q, nz * q
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", forceinline=True)
 def _to_grid(grid, x, y, z):
     """u, v, w of a point in space, mm; see ``rendering.grid``."""
     if grid.vertical:
@@ -246,37 +323,50 @@ def _to_grid(grid, x, y, z):
     return eye[0] + (x - eye[0]) * w, eye[1] + (y - eye[1]) * w, w
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", forceinline=True)
 def _from_grid(grid, u, v, w):
     """x, y, z, mm, of a point in the grid's coordinates."""
     if grid.vertical:
         return u, v, w
     eye = grid.cut_eye
-    return eye[0] + (u - eye[0]) / w, eye[1] + (v - eye[1]) / w, eye[2] - grid.eye_distance / w
+    q = 1.0 / w
+    return eye[0] + (u - eye[0]) * q, eye[1] + (v - eye[1]) * q, eye[2] - grid.eye_distance * q
 
 
-@njit(cache=True)
-def _cell(lines, value, descending):
-    """Index of the interval of ``lines`` that holds ``value``, clipped to the grid."""
-    lo, hi = 0, len(lines) - 1
-    while hi - lo > 1:
-        mid = (lo + hi) // 2
-        if (lines[mid] <= value) != descending:
-            lo = mid
-        else:
-            hi = mid
-    return lo
+@njit(cache=True, forceinline=True)
+def _row(vs, v, near):
+    """Index of the interval of the descending lines ``vs`` that holds v, clipped to the grid, from one near by."""
+    while near < len(vs) - 2 and vs[near + 1] > v:
+        near += 1
+    while near > 0 and vs[near] <= v:
+        near -= 1
+    return near
 
 
-@njit(cache=True)
-def _entry(us, vs, u0, v0, du, dv):
-    """Share of a segment at which it enters the grid's rectangle; 0 from within, 2 if it never does."""
+@njit(cache=True, forceinline=True)
+def _column(us, u, near):
+    """Index of the interval of the ascending lines ``us`` that holds u, clipped to the grid, from one near by."""
+    while near < len(us) - 2 and us[near + 1] <= u:
+        near += 1
+    while near > 0 and us[near] > u:
+        near -= 1
+    return near
+
+
+@njit(cache=True, forceinline=True)
+def _entry(us, vs, start, end):
+    """Share of a segment, given by u and v, at which it enters the grid's rectangle; 0 from within, 2 if never."""
+    if us[0] <= start[0] <= us[-1] and vs[-1] <= start[1] <= vs[0]:
+        return 0.0
     first, last = 0.0, 1.0
-    for low, high, start, run in ((us[0], us[-1], u0, du), (vs[-1], vs[0], v0, dv)):
+    for low, high, at, run in (
+        (us[0], us[-1], start[0], end[0] - start[0]),
+        (vs[-1], vs[0], start[1], end[1] - start[1]),
+    ):
         if run == 0.0:
-            if start < low or start > high:
+            if at < low or at > high:
                 return 2.0
             continue
-        a, b = (low - start) / run, (high - start) / run
+        a, b = (low - at) / run, (high - at) / run
         first, last = max(first, min(a, b)), min(last, max(a, b))
     return first if first <= last else 2.0
