@@ -1,0 +1,65 @@
+"""Integration: heights from rises, a sparse linear system, by the solver of the ``least-squares`` integrator."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+import numpy as np
+
+from benchmarks.comparison import Comparison, installed, require
+from magiclens.contract.artifacts import FloatArray
+
+_SCREENING = 1e-4
+
+
+def comparisons(options: argparse.Namespace) -> list[Comparison]:
+    """A direct sparse solver at a size that it can hold, multigrid at that of 64 x 64 facets, even and with walls."""
+    small, large = (48, 64) if options.quick else (352, 1408)
+    missing = () if installed("pyamg") else ("pyamg",)
+    cases = [("SciPy spsolve", small, 1.0), ("pyamg", large, 1.0), ("pyamg", large, 20.0)]
+    return [_comparison(*case, missing) for case in cases if case[0] not in missing]
+
+
+def _comparison(peer: str, side: int, continuity: float, missing: tuple[str, ...]) -> Comparison:
+    from magiclens.integration.least_squares import solve_weighted
+
+    rng, weights = np.random.default_rng(0), np.ones(side - 1)
+    weights[22::23] = continuity
+    right = rng.normal(size=(side, side))
+    right -= right.mean()
+    matrix = _matrix(weights, side)
+    ours = lambda: solve_weighted(right, weights, _SCREENING, np.zeros_like(right))  # noqa: E731
+    solve = _multigrid(matrix, right) if peer == "pyamg" else lambda: _direct(matrix, right)
+    walls = "" if continuity == 1.0 else f", edges across walls {continuity:g} times as heavy"
+
+    def agreement(mine: FloatArray, theirs: FloatArray) -> str:
+        size = np.linalg.norm(right)
+        left = [float(np.linalg.norm(matrix @ z.ravel() - right.ravel()) / size) for z in (mine, theirs)]
+        return require(max(left) < 2e-6, f"residual {left[0]:.0e}, {left[1]:.0e}")
+
+    return Comparison("integration", f"{side}² vertices{walls}", ours, {peer: solve}, agreement, missing)
+
+
+def _matrix(weights: FloatArray, side: int) -> Any:
+    """The Laplacian with weighted edges and screening, as a sparse matrix."""
+    from scipy.sparse import diags_array, eye_array, kron
+
+    line = np.concatenate([[0.0], weights, [0.0]])
+    one = diags_array([line[:-1] + line[1:], -weights, -weights], offsets=[0, 1, -1])
+    flat = eye_array(side)
+    return (kron(one, flat) + kron(flat, one) + _SCREENING * eye_array(side * side)).tocsc()
+
+
+def _direct(matrix: Any, right: FloatArray) -> FloatArray:
+    from scipy.sparse.linalg import spsolve
+
+    return spsolve(matrix, right.ravel())
+
+
+def _multigrid(matrix: Any, right: FloatArray) -> Any:
+    """Ruge and Stueben's, with conjugate gradients around it; setting up is part of the work, as the matrix is new."""
+    import pyamg
+
+    rows = matrix.tocsr()
+    return lambda: pyamg.ruge_stuben_solver(rows).solve(right.ravel(), tol=1e-7, accel="cg")

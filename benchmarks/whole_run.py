@@ -1,0 +1,55 @@
+"""Whole runs of ``specs/rotating.yaml``, as a user starts them, against an older commit of this repository."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+from functools import partial
+from pathlib import Path
+
+from benchmarks.comparison import Comparison, require
+
+_REPOSITORY = Path(__file__).parents[1]
+_COLD = "cold kernels"
+
+
+def comparisons(options: argparse.Namespace) -> list[Comparison]:
+    """With the built-in tracer only, with Mitsuba, and with kernels that must be compiled first."""
+    if options.against is None:
+        print("whole-run: say --against COMMIT to compare with an older commit")
+        return []
+    scratch = Path(tempfile.mkdtemp(prefix="whole-run-"))
+    old = scratch / "old"
+    old.mkdir()
+    packed = subprocess.run(
+        ["git", "archive", options.against], cwd=_REPOSITORY, check=True, capture_output=True
+    ).stdout
+    subprocess.run(["tar", "-x", "-C", str(old)], input=packed, check=True)
+    small = ["lens.facets=8", "lens.microfacets=8"] if options.quick else []
+    tracer = [*small, "pipeline.renderers=[{type: tracer}]"]
+    cases = {"tracer only": (tracer, ""), "with Mitsuba": (small, ""), f"tracer only, {_COLD}": (tracer, _COLD)}
+    return [
+        Comparison(
+            "whole run", f"specs/rotating.yaml, {name}", partial(_run, _REPOSITORY, scratch / "new.out", *case),
+            {f"commit {options.against[:7]}": partial(_run, old, scratch / "old.out", *case)}, _meshes_agree,
+        ) for name, case in cases.items()
+    ]  # fmt: skip
+
+
+def _run(repository: Path, out: Path, overrides: list[str], kernels: str) -> bytes:
+    """Run the spec in a process of its own, with the code of a working tree; returns the mesh."""
+    with tempfile.TemporaryDirectory() as empty:
+        environment = {**os.environ, "PYTHONPATH": str(repository)}
+        if kernels == _COLD:
+            environment["NUMBA_CACHE_DIR"] = empty
+        command = [sys.executable, "-m", "magiclens", "run", "specs/rotating.yaml", "--no-cache", "--out", str(out)]
+        settings = [word for override in overrides for word in ("--set", override)]
+        subprocess.run([*command, *settings], cwd=repository, env=environment, check=True, capture_output=True)
+    return (out / "lens.stl").read_bytes()
+
+
+def _meshes_agree(ours: bytes, theirs: bytes) -> str:
+    return require(ours == theirs, "the same mesh, byte for byte")
