@@ -16,7 +16,7 @@ _STEPS = 60
 
 def comparisons(options: argparse.Namespace) -> list[Comparison]:
     """Against L-BFGS of SciPy with the same residuals and exact gradients, for some facets, without blurs."""
-    small = ("lens.facets=8", "lens.microfacets=8") if options.quick else ()
+    small = ("lens.facets=16", "lens.microfacets=8") if options.quick else ()
     (_, scene), built = planned("single", *small), lenslets("single", *small)
     chosen = np.linspace(0, scene.lens.facets**2 - 1, 4 if options.quick else 16).astype(int)
     task = f"{len(chosen)} facets of {scene.lens.microfacets}² micro-facets"

@@ -19,7 +19,7 @@ def comparisons(options: argparse.Namespace) -> list[Comparison]:
     from magiclens.geometry.solid import solid_from_heights
 
     resolution, samples = (64, 2) if options.quick else (512, 4)
-    small = ("lens.facets=8", "lens.microfacets=8") if options.quick else ()
+    small = ("lens.facets=16", "lens.microfacets=8") if options.quick else ()
     scene, solid = planned("rotating", *small)[1], solid_from_heights(heights("rotating", *small))
     task = f"{resolution}² pixels x {samples**2} paths, {len(solid.faces):,} triangles"
 

@@ -28,7 +28,7 @@ def comparisons(options: argparse.Namespace) -> list[Comparison]:
         ["git", "archive", options.against], cwd=_REPOSITORY, check=True, capture_output=True
     ).stdout
     subprocess.run(["tar", "-x", "-C", str(old)], input=packed, check=True)
-    small = ["lens.facets=8", "lens.microfacets=8"] if options.quick else []
+    small = ["lens.facets=16", "lens.microfacets=8"] if options.quick else []
     tracer = [*small, "pipeline.renderers=[{type: tracer}]"]
     cases = {"tracer only": (tracer, ""), "with Mitsuba": (small, ""), f"tracer only, {_COLD}": (tracer, _COLD)}
     return [

@@ -17,6 +17,7 @@ from magiclens.kernels.compiler import njit
 from magiclens.kernels.sampling import rotated_grid
 from magiclens.kernels.threads import in_threads
 from magiclens.optics.medium import Slab
+from magiclens.optics.refraction import refract, transmittance
 from magiclens.rendering.grid import BLOCK_CELLS, Grid
 
 _MOST_EVENTS = 8
@@ -92,8 +93,9 @@ def trace_rows(grid: Grid, slab: Slab, eye: FloatArray, rows: PictureRows) -> Fl
 def _follow(grid, slab, eye, through, near):
     """The path from the eye through a point of the reference plane to the source.
 
-    At every surface the ray is refracted, with the weight T, or, where T < 1/2, goes on as ``d + 2 cos_i n`` with the
-    weight ``1 - T``; T is Fresnel's transmittance. Between surfaces, ``_march`` crosses the grid's cells.
+    At every surface the ray goes on as ``refract(d, n, eta)`` with the weight ``T``, or, where T < 1/2, as
+    ``d + 2 cos_i n`` with the weight ``1 - T``; T is Fresnel's ``transmittance(cos_i, eta)``. Between surfaces,
+    ``_march`` crosses the grid's cells.
 
     Args:
         grid: the top.
@@ -109,16 +111,15 @@ def _follow(grid, slab, eye, through, near):
     dx, dy, dz = through[0] - eye[0], through[1] - eye[1], slab.depth - eye[2]
     q = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
     dx, dy, dz = dx * q, dy * q, dz * q
-    per_dz = 1.0 / dz
-    z = grid.highest + _CLEARANCE_MM
-    rise = (z - eye[2]) * per_dz
-    x, y = eye[0] + dx * rise, eye[1] + dy * rise
+    rise = (grid.highest + _CLEARANCE_MM - eye[2]) / dz
+    x, y, z = eye[0] + dx * rise, eye[1] + dy * rise, grid.highest + _CLEARANCE_MM
     u0, v0, w0 = _to_grid(grid, x, y, z)
-    u1, v1, w1 = _to_grid(grid, x - dx * z * per_dz, y - dy * z * per_dz, 0.0)
+    u1, v1, w1 = _to_grid(grid, x - dx * z / dz, y - dy * z / dz, 0.0)
     at = _entry(grid.us, grid.vs, (u0, v0), (u1, v1))
     if at > 1.0:
         return _LOST, near
     u0, v0, w0 = u0 + at * (u1 - u0), v0 + at * (v1 - v0), w0 + at * (w1 - w0)
+    x, y, z = _from_grid(grid, u0, v0, w0)
     r, c = _row(grid.vs, v0, near[0]), _column(grid.us, u0, near[1])
     cell, ws = (r, c), grid.ws
     if at > 0.0 and w0 < max(ws[r, c], ws[r, c + 1], ws[r + 1, c], ws[r + 1, c + 1]):
@@ -126,12 +127,16 @@ def _follow(grid, slab, eye, through, near):
     # the ray goes down, so it is not inside; numba would compile the march apart for literals
     inside, weight, half = dz > 0.0, 1.0, np.int64(_EITHER)
     for _ in range(_MOST_EVENTS):
+        if dz == 0.0:
+            break
+        reach = (grid.highest + 2 * _CLEARANCE_MM - z) / dz if dz > 0.0 else -z / dz
+        u1, v1, w1 = _to_grid(grid, x + dx * reach, y + dy * reach, z + dz * reach)
         # the triangle on which a segment starts is left out, or rounding would find it crossed at once
         at, r, c, half = _march(grid, (u0, v0, w0), (u1, v1, w1), (r, c), half, inside)
         if at >= _MISSED:
             lands = inside and dz < 0.0
             if lands and at == _LEFT_GRID:  # beyond the last facet the slab goes on as far as its sides lean out
-                fx, fy = x - dx * z * per_dz, y - dy * z * per_dz
+                fx, fy = x - dx * z / dz, y - dy * z / dz
                 lands = grid.floor_left <= fx <= grid.floor_right and grid.floor_bottom <= fy <= grid.floor_top
             if lands:
                 return _to_source((x, y, z), (dx, dy, dz), weight, slab), cell
@@ -141,44 +146,17 @@ def _follow(grid, slab, eye, through, near):
         nx, ny, nz = _facing(grid.points, r, c, half == _UPPER)
         sign = -1.0 if inside else 1.0
         nx, ny, nz = sign * nx, sign * ny, sign * nz
-        bend = slab.ior if inside else 1.0 / slab.ior  # the normal is now on the side that the ray comes from
+        eta = 1.0 / slab.ior if inside else slab.ior  # the normal is now on the side that the ray comes from
         cos_i = -(dx * nx + dy * ny + dz * nz)
-        share, cos_t = _passing(max(cos_i, 0.0), bend)
+        share = transmittance(max(cos_i, 0.0), eta)
         if share >= 0.5:
-            along = bend * cos_i - cos_t
-            dx, dy, dz = bend * dx + along * nx, bend * dy + along * ny, bend * dz + along * nz
+            dx, dy, dz = refract(dx, dy, dz, nx, ny, nz, eta)
             inside = not inside
             weight *= share
         else:
             dx, dy, dz = dx + 2.0 * cos_i * nx, dy + 2.0 * cos_i * ny, dz + 2.0 * cos_i * nz
             weight *= 1.0 - share
-        if dz == 0.0:
-            break
-        per_dz = 1.0 / dz
-        reach = (grid.highest + 2 * _CLEARANCE_MM - z) * per_dz if dz > 0.0 else -z * per_dz
-        u1, v1, w1 = _to_grid(grid, x + dx * reach, y + dy * reach, z + dz * reach)
     return _LOST, cell
-
-
-@njit(cache=True, error_model="numpy", forceinline=True)
-def _passing(cos_i, bend):
-    """Share of light that passes a surface, and the cosine behind it: ``optics.refraction`` with few divisions.
-
-    Args:
-        cos_i: cosine of the angle of incidence, at least 0.
-        bend: index in front of the surface over index behind it.
-
-    Returns:
-        Share, 0 on total reflection, and cosine.
-    """
-    square = 1.0 - (1.0 - cos_i * cos_i) * bend * bend
-    if square <= 0.0:
-        return 0.0, 0.0
-    cos_t = math.sqrt(square)
-    a, b, c, d = bend * cos_i - cos_t, bend * cos_i + cos_t, cos_i - bend * cos_t, cos_i + bend * cos_t
-    q = 1.0 / (b * d)
-    s, p = a * d * q, c * b * q
-    return 1.0 - 0.5 * (s * s + p * p), cos_t
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
@@ -186,12 +164,11 @@ def _to_source(point, direction, weight, slab):
     """Through the flat bottom and the gap: x and y of the source point, mm, and weight; 0 on total reflection."""
     x, y, z = point
     dx, dy, dz = direction
-    share, cos_t = _passing(-dz, slab.ior)
-    if share <= 0.0:
-        return _LOST
-    # the bottom is level: sideways a direction is stretched by the index, downward it becomes the cosine
-    way, onward = -z / dz, slab.gap * slab.ior / cos_t
-    return x + dx * (way + onward), y + dy * (way + onward), weight * share
+    weight *= transmittance(-dz, 1.0 / slab.ior)
+    ox, oy, oz = refract(dx, dy, dz, 0.0, 0.0, 1.0, 1.0 / slab.ior)
+    if weight > 0.0 and oz < 0.0:
+        return x - dx * z / dz - ox * slab.gap / oz, y - dy * z / dz - oy * slab.gap / oz, weight
+    return _LOST
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
@@ -199,8 +176,9 @@ def _march(grid, start, end, cell, skipped, inside):
     """Follow a segment through the grid's cells until it crosses the surface.
 
     In each cell the segment's height above a triangle's plane is linear, ``f0 + t df``; it changes triangle where it
-    crosses the cell's diagonal. Cells of a block of which the segment stays clear, by its bounds, are only passed, and
-    a segment that falls is not followed below the lowest vertex.
+    crosses the cell's diagonal. Cells of a block of which the segment stays clear, by its bounds, are only passed. A
+    segment that falls is followed no farther once it is below all of the blocks around, and will leave these below
+    the lowest vertex of all.
 
     Args:
         grid: the top.
@@ -217,7 +195,6 @@ def _march(grid, start, end, cell, skipped, inside):
     us, vs = grid.us, grid.vs
     (u0, v0, w0), (u1, v1, w1), (r, c) = start, end, cell
     du, dv, dw = u1 - u0, v1 - v0, w1 - w0
-    per_u, per_v = 1.0 / du if du != 0.0 else 0.0, 1.0 / dv if dv != 0.0 else 0.0
     here = 0.0
     while True:
         high = w0 + here * dw
@@ -226,13 +203,13 @@ def _march(grid, start, end, cell, skipped, inside):
             # it may leave the blocks around with nothing left to meet
             left, right = max(block_c - 1, 0) * BLOCK_CELLS, min((block_c + 2) * BLOCK_CELLS, len(us) - 1)
             upper, lower = max(block_r - 1, 0) * BLOCK_CELLS, min((block_r + 2) * BLOCK_CELLS, len(vs) - 1)
-            away_u = ((us[right] if du > 0 else us[left]) - u0) * per_u if du != 0.0 else 2.0
-            away_v = ((vs[upper] if dv > 0 else vs[lower]) - v0) * per_v if dv != 0.0 else 2.0
+            away_u = ((us[right] if du > 0 else us[left]) - u0) / du if du != 0.0 else 2.0
+            away_v = ((vs[upper] if dv > 0 else vs[lower]) - v0) / dv if dv != 0.0 else 2.0
             if w0 + min(away_u, away_v, 1.0) * dw < grid.lowest:
                 stays = us[0] <= u1 <= us[-1] and vs[-1] <= v1 <= vs[0]
                 return _MISSED if stays else _LEFT_GRID, r, c, _EITHER
-        out_u = ((us[c + 1] if du > 0 else us[c]) - u0) * per_u if du != 0.0 else 2.0
-        out_v = ((vs[r] if dv > 0 else vs[r + 1]) - v0) * per_v if dv != 0.0 else 2.0
+        out_u = ((us[c + 1] if du > 0 else us[c]) - u0) / du if du != 0.0 else 2.0
+        out_v = ((vs[r] if dv > 0 else vs[r + 1]) - v0) / dv if dv != 0.0 else 2.0
         leave = min(out_u, out_v, 1.0)
         low = w0 + leave * dw
         low, high = min(low, high), max(low, high)
@@ -271,10 +248,10 @@ def _meet(grid, segment, cell, skipped, span, inside):
     ((u0, v0, w0), (du, dv, dw)), (r, c), (here, leave) = segment, cell, span
     us, vs, ws = grid.us, grid.vs, grid.ws
     side = 1.0 if inside else -1.0
-    per_wide, per_tall = 1.0 / (us[c + 1] - us[c]), 1.0 / (vs[r] - vs[r + 1])
+    wide, tall = us[c + 1] - us[c], vs[r] - vs[r + 1]
     # s and t run from 0 to 1 along +x and -y of the cell; on its diagonal they are equal
-    s0, ds = (u0 - us[c]) * per_wide, du * per_wide
-    t0, dt = (vs[r] - v0) * per_tall, -dv * per_tall
+    s0, ds = (u0 - us[c]) / wide, du / wide
+    t0, dt = (vs[r] - v0) / tall, -dv / tall
     a, b, d, e = ws[r, c], ws[r, c + 1], ws[r + 1, c], ws[r + 1, c + 1]
     bend = (t0 - s0) / (ds - dt) if ds != dt else -1.0
     for piece in range(2):
@@ -329,8 +306,7 @@ def _from_grid(grid, u, v, w):
     if grid.vertical:
         return u, v, w
     eye = grid.cut_eye
-    q = 1.0 / w
-    return eye[0] + (u - eye[0]) * q, eye[1] + (v - eye[1]) * q, eye[2] - grid.eye_distance * q
+    return eye[0] + (u - eye[0]) / w, eye[1] + (v - eye[1]) / w, eye[2] - grid.eye_distance / w
 
 
 @njit(cache=True, forceinline=True)
