@@ -132,16 +132,20 @@ def test_a_limit_that_a_file_breaks_is_named_with_its_line(load: Loader) -> None
         load(replace=("facets: 8", "facets: 8, wall: 1um"))
 
 
+SPREAD = {"spread": 0.087727, "levelling": 0.0}
+"""What the sla profile evens out: blur and polish together."""
+
+
 def test_options_of_a_machine_can_be_changed(load: Loader) -> None:
     plan = load("fabrication={machine: sla, layer: 50um, price: 99}", "pipeline.exporters=[{type: slices}]")
     assert (plan.fabrication.machine.layer, plan.fabrication.machine.price) == (0.05, 99)
-    wanted = {"dpi_x": 1016.0, "dpi_y": 1016.0, "layer": 0.05, "slicing": "diffused", "grey": None}
+    wanted = {"dpi_x": 1016.0, "dpi_y": 1016.0, "layer": 0.05, "slicing": "diffused", "grey": None, "process": SPREAD}
     assert plan.exporters[0].stage.model_dump() == wanted
 
 
 def test_an_exporters_own_options_come_before_the_machines(load: Loader) -> None:
     plan = load("fabrication={machine: sla}", "pipeline.exporters=[{type: slices, dpi_x: 300}]")
-    wanted = {"dpi_x": 300.0, "dpi_y": 1016.0, "layer": 0.025, "slicing": "diffused", "grey": None}
+    wanted = {"dpi_x": 300.0, "dpi_y": 1016.0, "layer": 0.025, "slicing": "diffused", "grey": None, "process": SPREAD}
     assert plan.exporters[0].stage.model_dump() == wanted
 
 
