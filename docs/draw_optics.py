@@ -24,7 +24,7 @@ WIDTH, COLOURS = 900, 64
 
 def drawings() -> Iterator[tuple[Path, str]]:
     """The path and the text of every drawing, with the styles of light pages."""
-    colours = re.search(r":root \{.*?\n\}", template_text("magiclens.pages/shared.css"), re.DOTALL)
+    colours = re.search(r":root \{.*?\n\}", template_text("magiclens.pages/tokens.css"), re.DOTALL)
     rules = [line for line in template_text("magiclens.web.gallery/site.css").splitlines() if ".drawing" in line]
     assert colours
     style = f"<style>{colours[0]} svg {{ font-family: sans-serif; }} {' '.join(rules)}</style>"

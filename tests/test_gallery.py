@@ -13,6 +13,7 @@ from urllib.parse import unquote
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
+from PIL import Image
 from playwright.sync_api import Browser, Page
 from typer.testing import CliRunner
 
@@ -125,6 +126,50 @@ def test_the_card_shows_the_view_that_was_asked_for(build: Build, tmp_path: Path
     build()
     card = (tmp_path / "site" / "index.html").read_text().split('class="card"')[2]
     assert "tracer-rotation-090" in card
+
+
+def test_links_to_pages_have_previews_with_whole_addresses_where_the_list_has_one(
+    build: Build, tmp_path: Path
+) -> None:
+    build()
+    page = (tmp_path / "site" / "lenses" / "first.html").read_text()
+    (image,) = re.findall(r'og:image" content="([^"]+)"', page)
+    with Image.open(tmp_path / "site" / "lenses" / image) as preview:
+        assert preview.size == (1200, 630)
+    text = (tmp_path / "gallery.yaml").read_text()
+    (tmp_path / "gallery.yaml").write_text(text + "\naddress: https://lenses.example.org/a\n")
+    build()
+    page = (tmp_path / "site" / "lenses" / "first.html").read_text()
+    assert 'og:image" content="https://lenses.example.org/a/pictures/first/preview.jpg"' in page
+    assert 'rel="canonical" href="https://lenses.example.org/a/lenses/first.html"' in page
+
+
+def test_a_published_copy_is_the_site_and_replaces_nothing_else(build: Build, tmp_path: Path) -> None:
+    place = tmp_path / "published"
+    for _ in range(2):
+        assert build("--publish", str(place)).exit_code == 0
+    site = tmp_path / "site"
+    files = {path.relative_to(site) for path in site.rglob("*") if path.is_file()}
+    files = {path for path in files if path.parts[0] != ".cache"}
+    assert {path.relative_to(place) for path in place.rglob("*") if path.is_file()} == {*files, Path(".nojekyll")}
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "letter.txt").touch()
+    done = build("--publish", str(tmp_path / "mine"))
+    assert done.exit_code == 2
+    assert "is no published gallery" in done.output
+    (place / ".git").mkdir()
+    assert "would be lost" in build("--publish", str(place)).output
+    assert (place / ".git").is_dir()
+
+
+def test_what_hosts_do_not_take_is_not_published(
+    build: Build, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("magiclens.web.gallery.publish._MOST_FILE_BYTES", 1000)
+    done = build("--publish", str(tmp_path / "published"))
+    assert done.exit_code == 2
+    assert "hosts take 1 kB a file" in done.output
+    assert not (tmp_path / "published").exists()
 
 
 def test_an_unknown_view_is_named(build: Build, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
@@ -66,13 +67,21 @@ def sweep_command(
 
 
 def gallery_command(
-    context: typer.Context,
     executor_settings: ExecutorSettings,
     listed: Annotated[Path, typer.Argument(metavar="[LIST]", help="The gallery's list, a YAML file.")] = Path(
         "gallery", "gallery.yaml"
     ),
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="The site's folder.")] = Path("out", "gallery"),
     small: Annotated[bool, typer.Option("--quick", help="Smaller lenses, as the list says.")] = False,
+    published: Annotated[
+        Path | None,
+        typer.Option(
+            "--publish",
+            metavar="DIR",
+            help="Also a copy for a web host such as GitHub Pages, in a folder of its own.",
+            show_default=False,
+        ),
+    ] = None,
     executor: ExecutorName = "processes",
     quiet: Quiet = False,
     traceback: Traceback = False,
@@ -81,9 +90,15 @@ def gallery_command(
     with reporting(traceback):
         from magiclens.running.termination import end_on_sigterm
         from magiclens.web.gallery.build import build_gallery
+        from magiclens.web.gallery.publish import check_place, publish_gallery
 
+        if published:
+            check_place(published)
         end_on_sigterm()
         worker, registry = chosen_executor(executor, executor_settings)
         # the site's reference documents all commands, and so it needs them as typer has built them
-        commands = vars(context.find_root().command)["commands"]
+        table = import_module("magiclens.cli").app  # which imports this file
+        commands = vars(typer.main.get_command(table))["commands"]
         build_gallery(listed, out, worker, registry, commands, small, print_no_note if quiet else print_note)
+        if published:
+            publish_gallery(out, published)

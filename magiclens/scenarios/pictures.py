@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Literal
@@ -307,6 +308,11 @@ class Target(AdjustedPicture):
         from magiclens.images.files import read_image
 
         return read_image(self.image or "")
+
+    @property
+    def title(self) -> str:
+        """What people call it: the name of the file without its ending, of the art, or the words themselves."""
+        return re.sub(r"[-_\s]+", " ", self.image.stem if self.image else self.art or self.text or "").strip()
 
     def __str__(self) -> str:
         if self.image is not None:

@@ -29,7 +29,8 @@ _LIST_FILE = "gallery.json"
 _OWN_FOLDERS = ("lenses", "pictures", DOCS_FOLDER)
 """Folders of the site from which files of older builds are removed."""
 _ASSETS = {
-    "shared.css": "magiclens.pages", "site.css": "magiclens.web.gallery", "site.js": "magiclens.web.gallery",
+    "tokens.css": "magiclens.pages", "shared.css": "magiclens.pages",
+    "site.css": "magiclens.web.gallery", "site.js": "magiclens.web.gallery",
 }  # fmt: skip
 """Packages of the files that are the same in every gallery."""
 

@@ -54,6 +54,11 @@ class GalleryList(SpecModel):
 
     title: str = Field("Magic lenses", min_length=1, description="the site's name")
     lead: str = Field("", description="what it is about, in a sentence")
+    address: str = Field(
+        "",
+        pattern=r"^(https?://[\w.:/~-]+)?$",
+        description="where the site is published, such as https://lenses.example.org; previews of links need it",
+    )
     hero: str | None = Field(None, description="name of the entry at the top, of which all views can be looked at")
     entries: list[GalleryEntry] = Field(min_length=1, description="the lenses, in order")
     docs: list[DocSection] = Field([], description="the documentation, in order")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -82,7 +82,8 @@ class Download(NamedTuple):
 
 @dataclass(frozen=True)
 class LensPage:
-    """Everything about one lens; ``card`` is a small source and a small photograph of it through the lens."""
+    """Everything about one lens; ``card`` is a small source and a small photograph of it through the lens, and
+    ``preview`` has both side by side, for links to the page."""
 
     entry: GalleryEntry
     manifest: dict[str, Any]
@@ -90,11 +91,12 @@ class LensPage:
     spec: Markup
     groups: Sequence[SourceGroup]
     card: tuple[Picture, Picture]
+    preview: Picture
     figures: Sequence[Picture]
     films: Sequence[str]
     downloads: Sequence[Download]
     headlines: Sequence[TableRow]
-    verdict: str
+    verdict: Mapping[str, Any] | None
     viewer: Markup
 
     @property
@@ -140,11 +142,12 @@ def lens_page(entry: GalleryEntry, folder: Path, viewer: str, album: Album, quic
         highlighted(entry.spec.read_text(encoding="utf-8"), "yaml"),
         _groups(manifest, folder, entry.name, album),
         (card[0], card[1]),
+        album.preview(folder / shown["source"], folder / photo, entry.name, entry.title),
         [album.shrunk(folder / path, entry.name, _FIGURE_WIDTH, "") for path in _figures(paths)],
         [path for path in paths if path.endswith(".mp4")],
         _downloads(manifest),
         _headlines(manifest),
-        _verdict(folder),
+        verdict_of_run(folder),
         Markup(viewer),
     )
 
@@ -240,12 +243,6 @@ def _downloads(manifest: dict[str, Any]) -> list[Download]:
         if file["path"].startswith(start)
     ]
     return [*found, Download(MANIFEST, "everything about the run, for programs", "")]
-
-
-def _verdict(folder: Path) -> str:
-    """The verdict as the run's preflight has it; empty if there is none."""
-    found = verdict_of_run(folder)
-    return str(found["text"]) if found else ""
 
 
 def _headlines(manifest: dict[str, Any]) -> list[TableRow]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import PurePosixPath
 from typing import NamedTuple
@@ -36,18 +37,26 @@ class Site:
             lenses: Pages of the lenses in the order of the list.
         """
         self._gallery, self._menu, self._lenses = gallery, menu, lenses
+        self._hero = next((page for page in lenses if page.name == gallery.hero), None)
 
     def index(self) -> str:
         """The front page, with a card for each lens."""
-        hero = next((page for page in self._lenses if page.name == self._gallery.hero), None)
-        return self._render("index.html", "index.html", self._gallery.title, hero=hero)
+        return self._render("index.html", "index.html", self._gallery.title, hero=self._hero)
 
     def lens(self, page: LensPage) -> str:
         """The page of one lens."""
         k = self._lenses.index(page)
         around = self._lenses[k - 1] if k else None, self._lenses[k + 1] if k + 1 < len(self._lenses) else None
         path = f"lenses/{page.name}.html"
-        return self._render("lens.html", path, page.entry.title, lens=page, around=around)
+        return self._render(
+            "lens.html",
+            path,
+            page.entry.title,
+            lens=page,
+            around=around,
+            about=_plain(page.entry.caption),
+            preview=page.preview,
+        )
 
     def doc(self, page: DocPage) -> str:
         """A page of documentation."""
@@ -66,6 +75,11 @@ class Site:
             """A path of the site, relative to this page."""
             return quote(os.path.relpath(target, PurePosixPath(path).parent))
 
+        def whole(target: str) -> str:
+            """The address of a path of the site; relative to this page if nobody has said where the site is."""
+            address = self._gallery.address.rstrip("/")
+            return f"{address}/{quote(target)}" if address else to(target)
+
         return render_page(
             f"magiclens.web.gallery/{template}",
             path=path,
@@ -75,7 +89,13 @@ class Site:
             lenses=self._lenses,
             version=magiclens.__version__,
             to=to,
+            whole=whole,
+            **{"about": _plain(self._gallery.lead), "preview": self._hero and self._hero.preview, **more},
             inline_markup=inline_markup,
             highlighted=highlighted,
-            **more,
         )
+
+
+def _plain(text: str) -> str:
+    """A text without its markup, for previews of links."""
+    return " ".join(re.sub(r"[`*]|\[([^]]*)\]\([^)]*\)", r"\1", text).split())

@@ -13,7 +13,9 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 _QUALITY = 72
-"""Quality of WebP pictures, 0 to 100."""
+"""Quality of pictures, 0 to 100."""
+_PREVIEW_PX = (1200, 630)
+"""Width and height of the picture with which a link to a page is shown elsewhere."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,22 @@ class Album:
             raise InputError(f"this is no picture that can be read: {error}", str(source)) from None
         self.paths.add(path)
         return Picture(path, *size, alt or title, title, caption)
+
+    def preview(self, source: Path, photo: Path, group: str, alt: str) -> Picture:
+        """Write a sheet and what is seen of it side by side, as JPEG of the size that previews of links have."""
+        from PIL import Image
+
+        width, height = _PREVIEW_PX
+        both = Image.new("RGB", _PREVIEW_PX, "white")
+        for k, file in enumerate((source, photo)):
+            with Image.open(file) as image:
+                side = image.convert("RGB").resize((width // 2, width // 2), Image.Resampling.LANCZOS)
+            both.paste(side, (k * width // 2, (height - side.height) // 2))
+        path = f"pictures/{group}/preview.jpg"
+        with atomic_file(self._site / path) as partial:
+            both.save(partial, "JPEG", quality=_QUALITY)
+        self.paths.add(path)
+        return Picture(path, width, height, alt)
 
     def drawn(self, image: Image, group: str, name: str, alt: str) -> Picture:
         """Write a picture that code has drawn into the site."""

@@ -18,16 +18,20 @@ _PICTURE_SIDE = 320
 """Width and height of the picture for browsers that cannot run the viewer, pixels."""
 _SHADERS = {
     "top": "top.glsl",
+    "light": "light.glsl",
+    "bench": "bench.glsl",
+    "behind": "bench.frag.glsl",
     "table": "table.frag.glsl",
     "screen": "screen.vert.glsl",
     "shown": "screen.frag.glsl",
     "solidPoints": "solid.vert.glsl",
     "solid": "solid.frag.glsl",
 }
-"""Files of the shaders by their name in the script; vertex and fragment shader of the solid both follow ``top``."""
+"""Files of the shaders by their name in the script; vertex and fragment shader of the solid both follow ``top``, and
+all that shows the sheet follows ``light``."""
 _SCRIPTS = (
-    "lens.js", "webgl.js", "table.js", "solid.js", "state.js", "geometry.js", "motion.js", "input.js", "controls.js",
-    "main.js",
+    "lens.js", "webgl.js", "table.js", "solid.js", "pace.js", "state.js", "geometry.js", "motion.js", "links.js",
+    "input.js", "controls.js", "main.js",
 )  # fmt: skip
 """Parts of the script in the order in which they are joined: constants are used only after their part."""
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import numpy as np
 from magiclens.contract.artifacts import FloatArray, HeightField, Lens, View
 from magiclens.running.manifest import source_path, target_path
 from magiclens.running.open_run import OpenRun
+from magiclens.scenarios.base import Shot
 from magiclens.web.viewer.packing import pack_heights
 from magiclens.web.viewer.pictures import picture_uri_within, thumbnail_uri
 
@@ -47,6 +49,7 @@ def viewer_data(lens: OpenRun) -> dict[str, Any]:
     room = (MOST_BYTES - _PROGRAM_BYTES) * 3 // 4 - len(packed.content)
     views = keep_views(lens.scene.views, room // _LEAST_SOURCE_BYTES)
     sources = list(dict.fromkeys(source_path(view) for view in views))
+    labels = view_labels(lens.plan.shots())
     medium, film = lens.plan.spec.medium, len(sources) > MOST_CHOICES
     lens_data = {
         "heights": base64.b64encode(packed.content).decode(),
@@ -62,7 +65,7 @@ def viewer_data(lens: OpenRun) -> dict[str, Any]:
         "film": film,
         "bears": _bears(lens.files.manifest["metrics"]),
         "dropped": len(lens.scene.views) - len(views),
-        "views": [_view_data(view, sources, None if film else lens.folder) for view in views],
+        "views": [_view_data(view, labels[view.name], sources, None if film else lens.folder) for view in views],
     }
 
 
@@ -96,11 +99,19 @@ def keep_views(views: tuple[View, ...], most_sources: int) -> list[View]:
     return [view for view in views if view.source_name in sources]
 
 
-def _view_data(view: View, sources: list[str], folder: Path | None) -> dict[str, Any]:
+def view_labels(shots: Sequence[Shot]) -> dict[str, str]:
+    """What people call the views, by name: as their targets, or by their own names where targets are alike."""
+    titles = {shot.name: shot.target.title for shot in shots}
+    own = {name: name.replace("-", " ") for name in titles}
+    many = Counter(titles.values())
+    return {name: title if title and many[title] == 1 else own[name] for name, title in titles.items()}
+
+
+def _view_data(view: View, label: str, sources: list[str], folder: Path | None) -> dict[str, Any]:
     """A view with a thumbnail of its target; without one if it is a frame of a film, which has no ``folder``."""
     return {
         "name": view.name,
-        "label": view.name.replace("-", " "),
+        "label": label,
         "eye": [float(x) for x in view.eye_mm],
         "rotation": view.rotation_deg,
         "source": sources.index(source_path(view)),

@@ -104,7 +104,7 @@ function addListeners() {
     if (tab === "solid" || grip || mover() === "eye" || onLens(fromEvent(finger))) event.preventDefault();
   }, { passive: false });
   canvas.addEventListener("touchmove", (event) => grip && event.preventDefault(), { passive: false });
-  const handle = marks.querySelector(".mlens-handle");
+  const handle = rim.querySelector(".mlens-handle");
   handle.addEventListener("pointerdown", (event) => {
     event.preventDefault();
     held.set(event.pointerId, { at: fromEvent(event) });
@@ -114,6 +114,8 @@ function addListeners() {
   canvas.addEventListener("keydown", keyed);
   part("home").addEventListener("click", () => glide(homePose(current)));
   part("aside").addEventListener("click", startAgain);
+  part("link").addEventListener("click", copyLink);
+  addEventListener("hashchange", followAddress);
   part("play").addEventListener("click", play);
   part("frames").addEventListener("input", (event) => {
     stop();

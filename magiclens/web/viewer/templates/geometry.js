@@ -2,7 +2,8 @@
 
 function region() {
   const w = stage.clientWidth || 600, h = stage.clientHeight || 400;
-  const [wanted, middle] = narrow() ? [[1.5, 2.1], [0, -0.385]] : [[2.35, 1.5], [0.42, 0]];
+  const along = 2 * SHEET + 1.4, broad = Math.max(1.5, 2 * SHEET + 0.3), off = 0.46;
+  const [wanted, middle] = narrow() ? [[broad, along], [0, -off]] : [[along, broad], [off, 0]];
   // the square of the lens at home begins and ends between pixels, so that no pixel straddles two facets
   const across = Math.floor(Math.min(w / wanted[0], h / wanted[1])), mm = lens.size / across;
   const corner = [w, h].map((pixels, k) => Math.round(pixels / 2 - (0.5 + (k ? -1 : 1) * middle[k]) * across));
@@ -26,10 +27,11 @@ function seenAt(at, [x, y]) {
   return [at.eyeX + (at.x + c * x - s * y - at.eyeX) * scale, at.eyeY + (at.y + s * x + c * y - at.eyeY) * scale];
 }
 
-function outline(at, more) {
-  const h = HALF + more, n = 0.035 * lens.size;
-  const corners = [[-n, h], [0, h + n], [n, h], [h, h], [h, -h], [-h, -h], [-h, h]];
-  return `M${corners.map((p) => toScreen(seenAt(at, p)).map((c) => c.toFixed(1)).join(" ")).join("L")}Z`;
+// The outline of a lens at home, in pixels from the middle of the lens.
+function outline(more) {
+  const { mm } = region(), h = HALF / mm + more, n = (0.035 * lens.size) / mm;
+  const corners = [[-n, -h], [0, -h - n], [n, -h], [h, -h], [h, h], [-h, h], [-h, -h]];
+  return `M${corners.map((p) => p.map((c) => c.toFixed(1)).join(" ")).join("L")}Z`;
 }
 
 function onLens(point) {
@@ -40,14 +42,23 @@ function onLens(point) {
   });
 }
 
+// Where the eye sees the lens on the screen. As it moves, its lines are only moved: to draw them again takes long without a GPU.
+function place(at) {
+  const [x, y] = toScreen(seenAt(at, [0, 0])), scale = at.eyeDistance / (at.eyeDistance - at.lift);
+  return `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px) rotate(${-at.angle}deg) scale(${scale})`;
+}
+
 function drawMarks() {
-  const { mm } = region(), [rim, handle] = [marks.querySelector(".mlens-rim path"), marks.querySelector(".mlens-handle")];
-  marks.querySelector(".mlens-outline path").setAttribute("d", outline(homePose(current), 1.2 * mm));
-  rim.setAttribute("d", outline(pose, 1.2 * mm));
-  const [foot, knob] = [HALF + 0.035 * lens.size, HALF + 0.1 * lens.size].map((y) => toScreen(seenAt(pose, [0, y])));
-  const line = handle.querySelector("line");
-  ["x2", "y2"].forEach((name, k) => line.setAttribute(name, (foot[k] - knob[k]).toFixed(1)));
-  handle.setAttribute("transform", `translate(${knob[0].toFixed(1)} ${knob[1].toFixed(1)})`);
+  const drawn = outline(1.2);
+  if (rim.dataset.drawn !== drawn) {
+    rim.dataset.drawn = drawn;
+    for (const path of [...marks.querySelectorAll("path"), ...rim.querySelectorAll(":scope > path")]) path.setAttribute("d", drawn);
+    const { mm } = region(), [foot, knob] = [HALF + 0.035 * lens.size, HALF + 0.1 * lens.size].map((y) => -y / mm);
+    rim.querySelector("line").setAttribute("y2", (foot - knob).toFixed(1));
+    rim.querySelector(".mlens-handle").setAttribute("transform", `translate(0 ${knob.toFixed(1)})`);
+  }
+  marks.style.transform = place(homePose(current));
+  rim.style.transform = place(pose);
   stage.classList.toggle("mlens-found", found);
 }
 

@@ -73,7 +73,7 @@ function turnAbout(change) {
   orbit = { ...orbit, ...change };
   orbit.above = between(orbit.above, -89, 89);
   orbit.far = between(orbit.far, 1.6, 9);
-  touch(true);
+  touch();
 }
 
 // ---- the keyboard

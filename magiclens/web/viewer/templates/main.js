@@ -11,6 +11,7 @@ async function begin() {
   const top = await unpack(lens);
   images = await Promise.all(data.sources.map(decoded));
   heightTexture(gl, top);
+  pace = paceOf(gl);
   solid = Object.assign(solidPicture(gl, lens, top), { highestStep: top.highestStep });
   table = tablePicture(gl, lens, top);
   table.lay(images[views[current].source]);
@@ -34,6 +35,7 @@ async function open() {
   listViews();
   addListeners();
   await begin();
+  if (followAddress()) return;
   pose = clamped(asidePose());
   refresh(true);
 }
@@ -56,7 +58,7 @@ const ready = open();
 ready.catch(trouble);
 window.magiclens = {
   ready, settled, setPose, capture, show, pose: () => ({ ...pose }), view: () => current, views: views.map((view) => view.name),
-  atHome: () => checkHome(),
+  atHome: () => checkHome(), progress: () => ({ ...progress }),
   // the square of the lens at home, in CSS pixels of the window
   square: () => {
     const box = canvas.getBoundingClientRect(), h = lens.size / 2;

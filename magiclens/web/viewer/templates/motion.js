@@ -29,9 +29,8 @@ function refresh(still = false) {
 }
 
 function touch(still = false) {
-  added = 0;
-  moved = true;
-  if (!still) lastMove = performance.now();
+  added = nextRow = 0;
+  if (!still) [moved, lastMove] = [true, performance.now()];
   ask();
 }
 
@@ -71,42 +70,61 @@ function pixels(scale) {
 function fit() {
   const holder = canvas.parentElement;
   Object.assign(canvas.style, { width: `${holder.clientWidth}px`, height: `${holder.clientHeight}px` });
-  const [width, height] = pixels(1);
-  if (canvas.width !== width || canvas.height !== height) {
-    canvas.width = width;
-    canvas.height = height;
-    touch(true);
-  }
-  marks.setAttribute("viewBox", `0 0 ${stage.clientWidth || 1} ${stage.clientHeight || 1}`);
+}
+
+// The canvas gets as many pixels as the picture has; the browser stretches it.
+function resized(width, height) {
+  if (canvas.width !== width) canvas.width = width;
+  if (canvas.height !== height) canvas.height = height;
 }
 
 function frame(now) {
   asked = 0;
   if (!table || gl.isContextLost() || !canvas.clientWidth) return;
-  if (tab === "solid") {
-    solid(orbit, canvas.width, canvas.height, colors());
-    return rest();
-  }
-  const moving = now - lastMove < IDLE_MS;
-  if (moving && !moved) return ask();
-  if (moving) hurry(now);
-  lastFrame = now;
-  const [width, height] = pixels(moving ? coarse : 1), { mm, w, middle } = region();
-  const { wood, lost } = colors(), sheen = between(6 * awayFromHome(pose), 0, 1);
-  const samples = moving || table.most === 1 ? 1 : SAMPLES;
-  if (added === 0 || !moving) table.add(tableView(pose, lens, width, height, (mm * w) / width, middle), pose, { wood, lost, sheen }, added, samples, false);
-  table.present(canvas.width, canvas.height);
-  added = moving ? 0 : added + 1;
-  moved = false;
-  if (moving || added < table.most) ask();
-  else rest();
+  const moving = moved || now - lastMove < IDLE_MS; // a slow machine comes here long after the move
+  if (!pace.free(now) || (moving && !moved)) return ask();
+  if (tab === "solid" ? drawSolid(now, moving) : drawTable(now, moving)) rest();
+  else ask();
 }
 
-// While something moves, slow machines draw fewer pixels.
-function hurry(now) {
-  const spent = now - lastFrame;
-  if (spent > 500) return;
-  coarse = between(coarse * (spent > SLOW_MS ? 0.85 : spent < SLOW_MS / 2 ? 1.08 : 1), 0.35, 1);
+// Width and height of the next picture in pixels.
+function size(moving) {
+  const all = pixels(1);
+  return moving ? pixels(pace.scale(all[0] * all[1])) : all;
+}
+
+function shown(now, [width, height], moving) {
+  pace.drawn(now, width * height, moving);
+  Object.assign(progress, { pictures: progress.pictures + 1, sharp: width === pixels(1)[0] });
+}
+
+// Whether the picture is finished.
+function drawSolid(now, moving) {
+  const [width, height] = size(moving);
+  resized(width, height);
+  solid(orbit, width, height, colors(), views[current].rotation, table.sheet());
+  shown(now, [width, height], moving);
+  moved = false;
+  return !moving;
+}
+
+// While something moves, slow machines draw fewer pixels; at rest they draw some rows at a time, and stay ready for a move.
+function drawTable(now, moving) {
+  const [width, height] = size(moving), { mm, w, middle } = region(), first = nextRow;
+  const { wood, lost } = colors(), sheen = between(6 * awayFromHome(pose), 0.05, 1), samples = moving || table.most === 1 ? 1 : SAMPLES;
+  const rows = Math.min(moving ? height : pace.rows(width, height), height - first);
+  table.add(tableView(pose, lens, width, height, (mm * w) / width, middle), pose, { wood, lost, sheen }, added, samples, false, [first, rows]);
+  moved = false;
+  nextRow = (first + rows) % height;
+  if (nextRow) {
+    pace.drawn(now, width * rows, moving);
+    return false;
+  }
+  resized(width, height);
+  table.present(width, height);
+  shown(now, [width, rows], moving);
+  added = moving ? 0 : added + 1;
+  return !moving && added >= table.most;
 }
 
 // Called when the picture is finished; resolves the promises of ``settled``.

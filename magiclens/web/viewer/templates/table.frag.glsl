@@ -1,27 +1,16 @@
 // The table as the eye sees it. Through the lens, rays are traced as the built-in tracer does, in the lens's frame, z
 // counting from the reference plane. There is one path for each sample: where light splits, the stronger part goes on.
 out vec4 seen;
-uniform sampler2D source;
 uniform vec3 eye, origin, right, up;
 uniform vec2 jitter;
-uniform float thickness, lowest, highest, gap, ior, sourceHalf, darkest, lod;
+uniform float thickness, lowest, highest, gap, ior, lod;
 uniform vec4 base;
 uniform vec4 pose;
 uniform bool exact;
 uniform float sheen;
-uniform vec3 wood, lost;
+uniform vec3 lost;
 
 const int EVENTS = 8;
-
-// The share of unpolarised light that is not reflected (Fresnel); eta is the index behind the surface over that before.
-float transmittance(float cosine, float eta) {
-  float k = 1.0 - (1.0 - cosine * cosine) / (eta * eta);
-  if (k <= 0.0) return 0.0;
-  float t = sqrt(k);
-  float s = (cosine - eta * t) / (cosine + eta * t);
-  float p = (eta * cosine - t) / (eta * cosine + t);
-  return 1.0 - 0.5 * (s * s + p * p);
-}
 
 // The fraction of a segment at which it enters the square of the grid: 0 if it starts inside, 2 if it never enters.
 float entry(vec3 a, vec3 b) {
@@ -77,12 +66,6 @@ float march(vec3 a, vec3 b, inout ivec3 at, bool inside, out vec3 plane) {
 // From the frame of the lens to the world.
 vec2 world(vec2 p) { return pose.xy + vec2(pose.z * p.x - pose.w * p.y, pose.w * p.x + pose.z * p.y); }
 
-// The distance of p from a rectangle, negative inside.
-float box(vec2 p, vec2 extent) {
-  vec2 q = abs(p) - extent;
-  return length(max(q, 0.0)) + min(max(q.x, q.y), 0.0);
-}
-
 // The soft shadow of the lens on the table, its bottom ``gap`` above it; p in the lens's frame.
 float shade(vec2 p) {
   vec2 light = vec2(pose.z * 0.45 - pose.w * 0.6, -pose.w * 0.45 - pose.z * 0.6);
@@ -91,17 +74,11 @@ float shade(vec2 p) {
   return 1.0 - 0.3 * (1.0 - smoothstep(-blur, blur, near)) - 0.24 * (1.0 - smoothstep(-2.0 * blur, 3.0 * blur, far));
 }
 
-// The light of the table at p in the lens's frame: the source, the white margin of its paper, wood.
+// The light of the table at p in the lens's frame.
 vec3 table(vec2 p, bool shaded) {
-  vec2 w = world(p), uv = vec2(w.x, -w.y) / (2.0 * sourceHalf) + 0.5;
-  bool printed = max(abs(w.x), abs(w.y)) <= sourceHalf;
-  vec3 light = darkest + (1.0 - darkest) * textureLod(source, uv, lod).rgb;
-  if (exact) return printed ? light : vec3(0.0);
-  float offPaper = box(w, vec2(1.05 * sourceHalf));
-  float grain = 0.985 + 0.015 * sin(w.y * 0.9 + 2.0 * sin(w.x * 0.021) + sin(w.y * 0.17)) * sin(w.x * 0.013 + w.y * 0.31);
-  vec3 wooden = wood * grain * (1.0 - 0.3 * exp(-max(offPaper, 0.0) / (0.03 * sourceHalf)));
-  vec3 color = printed ? light : mix(vec3(0.93), wooden, smoothstep(-0.1, 0.1, offPaper));
-  return shaded ? color * shade(p) : color;
+  vec2 w = world(p);
+  if (exact) return printed(w) ? sheet(w, lod) : vec3(0.0);
+  return shaded ? ground(w, lod) * shade(p) : ground(w, lod);
 }
 
 // The direction to a bright window, in the lens's frame.

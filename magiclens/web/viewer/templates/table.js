@@ -13,7 +13,7 @@ function turnedGrid(k, samples) {
 
 function tablePicture(gl, lens, top) {
   const fine = gl.getExtension("EXT_color_buffer_float") || gl.getExtension("EXT_color_buffer_half_float");
-  const trace = program(gl, SHADERS.screen, SHADERS.top + SHADERS.table);
+  const trace = program(gl, SHADERS.screen, SHADERS.top + SHADERS.light + SHADERS.table);
   const show = program(gl, SHADERS.screen, SHADERS.shown);
   const smooth = { MIN_FILTER: "LINEAR", MAG_FILTER: "LINEAR", WRAP_S: "CLAMP_TO_EDGE", WRAP_T: "CLAMP_TO_EDGE" };
   const source = texture(gl, 1, { ...smooth, MIN_FILTER: "LINEAR_MIPMAP_LINEAR" });
@@ -29,6 +29,9 @@ function tablePicture(gl, lens, top) {
     perMm = image.naturalWidth / lens.source_size;
   }
 
+  // What shaders need to know of the sheet; it lies in texture unit 1.
+  const sheet = () => ({ source: whole(1), sourceHalf: lens.source_size / 2, darkest: lens.darkest, perMm });
+
   function resize(width, height) {
     if (size[0] === width && size[1] === height) return;
     size = [width, height];
@@ -40,8 +43,8 @@ function tablePicture(gl, lens, top) {
     gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, light, 0);
   }
 
-  // Adds one sample to each pixel. ``view`` is the eye, the lower left corner and the steps of a pixel in the lens's frame.
-  function add(view, pose, colors, index, samples, exact) {
+  // Adds one sample to each pixel of some rows, from the lowest row on. ``view`` is the eye, the lower left corner and the steps of a pixel in the lens's frame.
+  function add(view, pose, colors, index, samples, exact, rows = [0, view.height]) {
     const { width, height } = view, count = samples * samples, turned = (pose.angle * Math.PI) / 180;
     // 7 and 16 have no common divisor, so each sample comes once, and the first few are spread over the pixel
     const k = count === 16 ? (index * 7) % 16 : index;
@@ -50,18 +53,21 @@ function tablePicture(gl, lens, top) {
     gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
     gl.viewport(0, 0, width, height);
     gl.disable(gl.DEPTH_TEST);
+    gl.enable(gl.SCISSOR_TEST);
+    gl.scissor(0, rows[0], width, rows[1]);
     if (index) gl.enable(gl.BLEND);
     gl.blendColor(0, 0, 0, 1 / (index + 1));
     gl.blendFunc(gl.CONSTANT_ALPHA, gl.ONE_MINUS_CONSTANT_ALPHA);
     trace({
-      ...topUniforms(lens, top), source: whole(1), lowest: top.lowest, highest: top.highest, gap: lens.gap + pose.lift,
-      ior: lens.ior, sourceHalf: lens.source_size / 2, darkest: lens.darkest, exact: whole(exact ? 1 : 0),
+      ...topUniforms(lens, top), ...sheet(), lowest: top.lowest, highest: top.highest, gap: lens.gap + pose.lift,
+      ior: lens.ior, exact: whole(exact ? 1 : 0),
       lod: count === 1 ? blurred : Math.max(blurred - Math.log2(samples), 0) * (exact ? 0 : 1), ...colors,
       pose: [pose.x, pose.y, Math.cos(turned), Math.sin(turned)], eye: view.eye, origin: view.origin, right: view.right, up: view.up,
       jitter: turnedGrid(k, samples).map((position, axis) => (position + (exact ? 0 : OFF[axis])) / samples),
     });
     gl.drawArrays(gl.TRIANGLES, 0, 3);
     gl.disable(gl.BLEND);
+    gl.disable(gl.SCISSOR_TEST);
   }
 
   function present(width, height) {
@@ -83,7 +89,7 @@ function tablePicture(gl, lens, top) {
     return found;
   }
 
-  return { lay, add, present, light: readLight, most: fine ? SAMPLES * SAMPLES : 1 };
+  return { lay, add, sheet, present, light: readLight, most: fine ? SAMPLES * SAMPLES : 1 };
 }
 
 // From the world to the frame of the lens: the origin is its centre, z counts from its reference plane.
