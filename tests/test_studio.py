@@ -15,9 +15,11 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
+from zipfile import ZipFile
 
+import numpy as np
 import pytest
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageSequence
 from starlette.testclient import TestClient
 from typer.testing import CliRunner
 
@@ -28,6 +30,7 @@ from magiclens.studio import server
 from magiclens.studio.guard import Door
 from magiclens.studio.results import run_summary
 from magiclens.studio.server import Studio, studio_app
+from magiclens.studio.sharing import film_to_share
 from magiclens.studio.store import StudioFolder, file_below, sole_user
 from magiclens.studio.worker import Worker
 
@@ -46,7 +49,8 @@ if what == "run":
     folder = pathlib.Path(rest[rest.index("--out") + 1])
     folder.mkdir(exist_ok=True)
     (folder / "called.json").write_text(json.dumps(rest))
-    (folder / "manifest.json").write_text(json.dumps({"views": [], "artifacts": [], "metrics": {}}))
+    manifest = {"views": [], "artifacts": [], "metrics": {}, "scene": {"facets": 8}}
+    (folder / "manifest.json").write_text(json.dumps(manifest))
     (folder / "report.html").write_text("<p>a report</p>")
     (folder / "lens.stl").write_text("solid")
 """
@@ -112,7 +116,7 @@ ADDRESSES = [
     ("GET", "/"), ("GET", "/static/main.js"), ("GET", "/api/state"), ("GET", "/api/events"), ("POST", "/api/pictures"),
     ("DELETE", "/api/pictures/a.png"), ("POST", "/api/specs"), ("POST", "/api/jobs"),
     ("POST", "/api/jobs/0001-00000000/cancel"), ("DELETE", "/api/jobs/0001-00000000"), ("GET", "/pictures/a.png"),
-    ("GET", "/jobs/0001-00000000/spec.yaml"),
+    ("GET", "/jobs/0001-00000000/spec.yaml"), ("GET", "/api/previews/a.png"),
 ]  # fmt: skip
 
 
@@ -403,6 +407,66 @@ def test_a_job_that_ran_when_the_studio_ended_goes_on(visit: Callable[[], Visito
     (visitor.store.root / "hold").unlink()
     again.wait(running, "done")
     again.wait(waiting, "done")
+
+
+def test_a_run_that_outlived_its_studio_is_ended_before_it_begins_again(
+    visit: Callable[[], Visitor], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("magiclens.studio.worker._PATIENCE_S", 0.3)
+    visitor = visit()
+    (visitor.store.root / "hold").touch()
+    job = visitor.order()
+    visitor.wait(job, "running")
+    lost = visitor.store.state(job)["process"]
+    visitor.worker._end_child = lambda: None  # as if the studio had been killed
+    again = visit()
+    again.wait(job, "running")
+    assert again.store.state(job)["process"] != lost
+    assert not Path(f"/proc/{lost}/cmdline").exists() or not Path(f"/proc/{lost}/cmdline").read_bytes()
+    (visitor.store.root / "hold").unlink()
+    again.wait(job, "done")
+
+
+def test_a_spec_is_given_with_its_pictures(visit: Callable[[], Visitor]) -> None:
+    visitor = visit()
+    job = visitor.order()
+    content = visitor.client.get(f"/jobs/{job}/spec.zip").content
+    assert content == visitor.client.get(f"/jobs/{job}/spec.zip").content
+    with ZipFile(io.BytesIO(content)) as packed:
+        assert packed.namelist() == ["spec.yaml", "star.png"]
+        assert packed.read("spec.yaml").decode() == visitor.client.get(f"/jobs/{job}/spec.yaml").text
+
+
+def test_pictures_are_previewed_as_a_spec_would_show_them(visit: Callable[[], Visitor]) -> None:
+    visitor = visit()
+    image, out = Image.new("L", (200, 100), 255), io.BytesIO()
+    ImageDraw.Draw(image).rectangle((80, 20, 120, 80), fill=0)
+    image.save(out, "PNG")
+    name = visitor.add("wide.png", out.getvalue())
+    shown = {crop: visitor.client.get(f"/api/previews/{name}?crop={crop}").json() for crop in ("centre", "fit")}
+    assert shown["centre"]["picture"] != shown["fit"]["picture"]
+    assert "middle square" in " ".join(shown["centre"]["reasons"])
+    spec = visitor.client.post("/api/specs", json={"pictures": [name], "crop": "centre"}).json()["yaml"]
+    assert "fit: crop" in spec
+    blank = io.BytesIO()
+    Image.new("L", (64, 64), 128).save(blank, "PNG")
+    for path in (f"{name}?crop=round", "no.png", visitor.add("blank.png", blank.getvalue())):
+        done = visitor.client.get(f"/api/previews/{path}")
+        assert done.status_code == 422
+        assert str(visitor.store.root) not in done.text
+
+
+def test_a_film_to_share_begins_with_the_sheet_and_ends_with_the_picture(tmp_path: Path) -> None:
+    for name, content in (("sheet.png", png(3)), ("seen.png", png(5)), ("made.png", png(4))):
+        (tmp_path / name).write_bytes(content)
+    views = [{"source": "sheet.png", "designed": "seen.png", "made": "made.png"}]
+    with Image.open(io.BytesIO(film_to_share(tmp_path, views))) as film:
+        frames = [np.asarray(frame.convert("L"), float) for frame in ImageSequence.Iterator(film)]
+        assert film.info["loop"] == 0
+    for frame, name in ((frames[0], "sheet.png"), (frames[-1], "made.png")):
+        wanted = Image.open(tmp_path / name).convert("L").resize(frame.shape, Image.Resampling.LANCZOS)
+        assert np.abs(frame - np.asarray(wanted, float)).mean() < 4
+    assert len(frames) > 6
 
 
 def test_changes_are_told_as_events(visit: Callable[[], Visitor]) -> None:

@@ -26,26 +26,34 @@ from starlette.routing import Route
 from magiclens.contract.errors import InputError, MagicLensError
 from magiclens.new.layouts import LAYOUTS
 from magiclens.pages.templating import render_page, template_text
-from magiclens.profiles.machines import machines
+from magiclens.profiles.machines import Profile, machines
 from magiclens.studio.guard import RUN_POLICY, Door, Guard
-from magiclens.studio.orders import SPEC, Order, fill_job, write_order
-from magiclens.studio.results import WANTS, job_summary
+from magiclens.studio.orders import PACKED, SPEC, Order, fill_job, packed_order, previewed, write_order
+from magiclens.studio.results import WANTS, job_summary, run_summary
+from magiclens.studio.sharing import film_to_share
 from magiclens.studio.store import StudioFolder, file_below, sole_user
 from magiclens.studio.worker import Worker
 
 MOST_UPLOAD_BYTES = 20_000_000
 """Largest picture that is taken."""
 _MOST_JSON_BYTES = 500_000
-_SCRIPTS = ("main.js", "orders.js", "jobs.js", "server.js")
+_SCRIPTS = ("main.js", "orders.js", "preview.js", "jobs.js", "server.js")
 _CARDS = {
-    "single": "One picture",
-    "rotating": "A picture for each quarter turn",
-    "universal-animation": "A key for any picture",
+    "single": ("One picture", "It appears when the lens lies on its sheet."),
+    "rotating": ("A picture for each turn", "Turn the lens by a quarter: another one appears."),
+    "multi-view": ("A picture for each eye", "Move your head: another one appears."),
+    "universal-animation": ("A key for any picture", "One lens, a printed sheet for each picture."),
+    "question-answer": ("Question and answer", "A sheet that asks in plain words; the lens answers."),
 }
+"""What stands on the card of a scenario: what the lens does, and what its owner sees."""
 _TYPES = {
     ".html": "text/html", ".png": "image/png", ".json": "application/json", ".pdf": "application/pdf",
     ".yaml": "text/plain", ".webp": "image/webp", ".svg": "image/svg+xml", ".gif": "image/gif", ".mp4": "video/mp4",
 }  # fmt: skip
+_SIZES = (25, 40, 60, 80, 100)
+"""Sides of lenses to choose from, mm."""
+_FILMS = {f"{want}/share.gif": want for want in WANTS}
+"""Addresses of films to share, which are made when somebody asks for them."""
 _LOOK_S = 0.25
 
 
@@ -60,8 +68,9 @@ class Studio:
         response = HTMLResponse(
             render_page(
                 "magiclens.studio/studio.html",
-                cards=[(name, title, LAYOUTS[name]) for name, title in _CARDS.items()],
-                machines={name: profile.title for name, profile in machines().items()},
+                cards=[(name, *words, LAYOUTS[name]) for name, words in _CARDS.items()],
+                machines={name: (_capital(profile.title), _facets(profile)) for name, profile in machines().items()},
+                sizes=_SIZES,
             )
         )
         self._door.enter(request, response)
@@ -117,6 +126,11 @@ class Studio:
             raise HTTPException(404)
         return Response(status_code=204)
 
+    async def preview(self, request: Request) -> Response:
+        """A picture as a lens is to show it, and why."""
+        name, crop = request.path_params["name"], request.query_params.get("crop", "auto")
+        return JSONResponse(await run_in_threadpool(previewed, name, crop, self._store))
+
     async def spec(self, request: Request) -> Response:
         """The YAML of an order, without a job."""
         order = await _order(request)
@@ -155,8 +169,13 @@ class Studio:
         return Response(status_code=204)
 
     async def job_file(self, request: Request) -> Response:
-        """A file in the folder of a job: its spec, or a file of its runs."""
+        """A file in the folder of a job: its spec, also with its pictures, or a file of its runs."""
         job, path = self._job(request), request.path_params["path"]
+        if path == PACKED:
+            content = await run_in_threadpool(packed_order, self._store.root / "jobs" / job)
+            return Response(content, media_type="application/zip")
+        if path in _FILMS:
+            return await run_in_threadpool(_film, self._store.root / "jobs" / job / _FILMS[path])
         if path != SPEC and path.split("/")[0] not in WANTS:
             raise HTTPException(404)
         return _file(self._store.root / "jobs" / job, path)
@@ -190,6 +209,7 @@ def studio_app(store: StudioFolder, worker: Worker, door: Door) -> Starlette:
         route("GET", "/api/state", studio.state),
         route("POST", "/api/pictures", studio.add_picture),
         route("DELETE", "/api/pictures/{name}", studio.delete_picture),
+        route("GET", "/api/previews/{name}", studio.preview),
         route("POST", "/api/specs", studio.spec),
         route("POST", "/api/jobs", studio.add_job),
         route("POST", "/api/jobs/{job}/{what}", studio.ask),
@@ -251,12 +271,24 @@ def _listening(port: int) -> socket.socket:
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listener.bind(("127.0.0.1", port))
+        listener.listen()  # at once: a browser that is quicker than the server waits instead of being refused
     except (OSError, OverflowError):
         listener.close()
         raise InputError(
             f"port {port} of 127.0.0.1 cannot be had; choose another, or 0 for a free one", "--port"
         ) from None
     return listener
+
+
+def _facets(profile: Profile) -> str:
+    """How many facets suit a machine, by the side of the lens, as JSON."""
+    return json.dumps({f"{size}mm": profile.machine().facets_for(size) for size in _SIZES})
+
+
+def _capital(title: str) -> str:
+    """A title for a list: without its article, with a capital letter."""
+    words = re.sub("^an? ", "", title)
+    return words[0].upper() + words[1:]
 
 
 async def _order(request: Request) -> Order:
@@ -278,6 +310,14 @@ async def _body(request: Request, most: int) -> bytes:
     except ClientDisconnect:
         raise HTTPException(400, "the upload was broken off") from None
     return bytes(content)
+
+
+def _film(run: Path) -> Response:
+    """A film of a finished run, to share."""
+    found = run_summary(run)
+    if not found or not all(view["designed"] for view in found["views"]):
+        raise HTTPException(404)
+    return Response(film_to_share(run, found["views"]), media_type="image/gif")
 
 
 def _file(folder: Path, relative: str) -> Response:

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
 from typing import IO
 
 from magiclens.cache.folder import FOLDER_VARIABLE
@@ -38,7 +42,9 @@ class Worker:
     def start(self) -> None:
         """Begin; what was running when the last studio ended waits again."""
         for job in self._store.jobs():
-            if self._store.state(job)["state"] == "running":
+            known = self._store.state(job)
+            if known["state"] == "running":
+                _end_left_run(known.get("process"), self._store.root / "jobs" / job)
                 self._store.change(job, state="waiting", said="")
         self._thread.start()
 
@@ -82,7 +88,7 @@ class Worker:
                     return
                 assert job is not None
                 self._running, self._cancelled = job, False
-                self._store.change(job, state="running", said="starting", done=0)
+                self._store.change(job, state="running", said="starting", done=0, began=time.time())
             self._run(job)
 
     def _next(self) -> str | None:
@@ -99,7 +105,8 @@ class Worker:
             self._running = None
             if not self._ending:
                 ended = "cancelled" if self._cancelled else "done" if code == 0 else "failed"
-                self._store.change(job, state=ended, said=last[:_MOST_WORDS] if ended == "failed" else "")
+                took = state.get("took", {}) | ({want: time.time() - state["began"]} if ended == "done" else {})
+                self._store.change(job, state=ended, said=last[:_MOST_WORDS] if ended == "failed" else "", took=took)
 
     def _command(self, job: str, *arguments: str) -> tuple[int, str]:
         """Exit code and last line of ``mlens`` in the job's folder."""
@@ -117,6 +124,7 @@ class Worker:
                 errors="replace",
                 start_new_session=True,  # Ctrl-C ends the studio, which ends the run in its own time
             )
+            self._store.change(job, process=child.pid)
         assert child.stderr
         last = self._listen(job, child.stderr)
         child.stderr.close()
@@ -138,3 +146,21 @@ class Worker:
                 child.wait(_PATIENCE_S)
             except subprocess.TimeoutExpired:
                 child.kill()
+
+
+def _end_left_run(process: int | None, folder: Path) -> None:
+    """End a run that was left alone when its studio was killed, so that no two runs fill one folder.
+
+    Only Linux says where a process is at work. Elsewhere the run ends with the next line that it prints to nobody.
+    """
+    with suppress(OSError):  # it has ended
+        for kind in (signal.SIGTERM, signal.SIGKILL):
+            end = time.monotonic() + _PATIENCE_S
+            if process and _works_in(process, folder):
+                os.kill(process, kind)
+            while process and _works_in(process, folder) and time.monotonic() < end:
+                time.sleep(0.05)
+
+
+def _works_in(process: int, folder: Path) -> bool:
+    return os.readlink(f"/proc/{process}/cwd") == str(folder.resolve())

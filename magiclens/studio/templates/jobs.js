@@ -1,10 +1,17 @@
 // The list of jobs: state, progress, results. What has not changed is left alone, so that focus and reading stay.
-import { ask, complain, element, noComplaint, room, say } from "./server.js";
+import { ask, complain, duration, element, noComplaint, room, say } from "./server.js";
 
 const list = document.getElementById("jobs");
+const nothing = list.firstElementChild;
 const shown = new Map();
 const TITLES = { draft: "Draft", full: "Full design" };
-const PAGES = { "report.html": "Report", "preflight.html": "Preflight", "view.html": "Move the lens over its source" };
+const PAGES = { "view.html": "Move the lens over its sheet", "report.html": "Report", "preflight.html": "Preflight" };
+const MAIN_FILES = 3;
+const TICK_MS = 1000;
+
+setInterval(() => {
+  for (const clock of list.querySelectorAll("[data-began]")) clock.textContent = duration(Date.now() / 1000 - clock.dataset.began);
+}, TICK_MS);
 
 export function showJobs(jobs, bytes) {
   document.getElementById("room").textContent = `${room(bytes)} on the disk, results kept for later runs included.`;
@@ -15,15 +22,15 @@ export function showJobs(jobs, bytes) {
       shown.delete(id);
     }
   }
-  if (!jobs.length) list.replaceChildren(element("p", { className: "muted" }, "None yet."));
-  if (jobs.length && !shown.size) list.replaceChildren();
+  if (!jobs.length) list.replaceChildren(nothing);
+  else nothing.remove();
   jobs.toReversed().forEach((job) => show(job));
 }
 
 function show(job) {
   if (!shown.has(job.id)) {
     const [head, results] = [element("div"), element("div")];
-    const box = element("article", { className: "job", id: `job-${job.id}` }, head, results);
+    const box = element("article", { className: "job panel", id: `job-${job.id}` }, head, results);
     shown.set(job.id, { box, head, results, job: null });
     list.prepend(box);
   }
@@ -48,24 +55,33 @@ function words(job) {
 
 function head(job) {
   const busy = job.state === "running" || job.state === "waiting";
+  const takes = job.took?.draft && job.full_by_draft ? `, about ${duration(job.took.draft * job.full_by_draft)}` : "";
   const buttons = busy
     ? [button("Cancel", "cancel", job, () => ask("POST", `/api/jobs/${job.id}/cancel`))]
     : [
-        button(job.runs.draft ? "Draft again" : "Make the draft", "draft", job, () => ask("POST", `/api/jobs/${job.id}/draft`)),
-        button("Make the full design", "full", job, () => ask("POST", `/api/jobs/${job.id}/full`)),
+        ...(job.runs.full ? [] : [button(`Make the full design${takes}`, "full", job, () => ask("POST", `/api/jobs/${job.id}/full`), "first")]),
+        ...(job.runs.draft ? [] : [button("Make the draft", "draft", job, () => ask("POST", `/api/jobs/${job.id}/draft`))]),
       ];
   if (job.state !== "running") buttons.push(button("Delete", "delete", job, () => ask("DELETE", `/api/jobs/${job.id}`)));
   return [
     element("h3", {}, job.title),
-    element("p", {}, `${words(job)}, ${room(job.bytes)}`),
+    state(job),
     job.said ? element("p", { className: job.state === "failed" ? "red" : "muted" }, job.said) : "",
     job.state === "running" ? element("progress", { ariaLabel: `${job.title} is being made` }) : "",
-    element("div", { className: "row" }, ...buttons, element("a", { href: `/jobs/${job.id}/spec.yaml` }, "Spec as YAML")),
+    element("div", { className: "row" }, ...buttons),
+    element("p", { className: "links" }, link(`/jobs/${job.id}/spec.yaml`, "Spec as YAML"), download(`/jobs/${job.id}/spec.zip`, "Spec with its pictures, ZIP")),
   ];
 }
 
-function button(text, key, job, work) {
-  const made = element("button", { type: "button", ariaLabel: `${text}: ${job.title}` }, text);
+function state(job) {
+  if (job.state !== "running") return element("p", { className: "muted" }, `${words(job)}, ${room(job.bytes)}`);
+  const clock = element("span", {}, duration(Date.now() / 1000 - job.began));
+  clock.dataset.began = job.began;
+  return element("p", { className: "muted" }, `${words(job)}: `, clock);
+}
+
+function button(text, key, job, work, className = "") {
+  const made = element("button", { type: "button", ariaLabel: `${text}: ${job.title}`, className }, text);
   made.dataset.key = key;
   made.addEventListener("click", async () => {
     noComplaint();
@@ -79,35 +95,48 @@ function button(text, key, job, work) {
 }
 
 function results(job) {
-  return ["full", "draft"].filter((want) => job.runs[want]).map((want) => result(job, want, job.runs[want]));
+  const [best, ...others] = ["full", "draft"].filter((want) => job.runs[want]).map((want) => result(job, want, job.runs[want]));
+  if (!best) return [];
+  return [best, ...others.map((other) => element("details", {}, element("summary", {}, "The draft before"), other))];
 }
 
 function result(job, want, run) {
   const at = (path) => `/jobs/${job.id}/${want}/${path.split("/").map(encodeURIComponent).join("/")}`;
-  const verdict = run.status ? `Preflight: ${run.status}` : "No preflight: no mesh was written";
+  const coarse = want === "draft" && job.facets ? `A quick draft of ${run.facets} x ${run.facets} coarse facets. The full design has ${job.facets} x ${job.facets}, finer ones, and shows more.` : "";
+  const downloads = want === "full" ? run.downloads : []; // nobody should print a draft
+  const notes = run.checks.filter((c) => c.status === "amber" || c.status === "red");
   return element(
     "section",
     { ariaLabel: `${TITLES[want]} of ${job.title}` },
     element("h4", {}, TITLES[want]),
-    element("div", { className: "views" }, ...run.views.flatMap((view) => figures(view, at))),
-    element("p", { className: `verdict ${run.status ?? ""}` }, verdict),
-    element("ul", {}, ...run.checks.filter((c) => c.status !== "green").map((c) => element("li", {}, `${c.check}: ${c.text}`))),
-    details("What preflight has found", run.checks.map((c) => `${c.status}, ${c.check}: ${c.text}`)),
-    details("Tolerances, until the picture has lost 3 dB", run.tolerances),
-    element("p", {}, ...run.pages.flatMap((page) => [link(at(page), PAGES[page]), " "])),
-    element("p", {}, "Files: ", ...run.downloads.flatMap((path) => [download(at(path), path), " "])),
+    element("p", { className: `verdict ${run.verdict?.status ?? ""}` }, run.verdict ? sentence(run.verdict.text) : "Not checked: no mesh was written."),
+    element("p", { className: "muted" }, coarse),
+    ...run.views.map((view) => element("div", { className: "views" }, ...figures(view, at))),
+    element("div", { className: "row" }, ...files(downloads.slice(0, MAIN_FILES), at, "button first")),
+    element("p", { className: "links" }, ...run.pages.map((page) => link(at(page), PAGES[page])), download(at("share.gif"), "Film to share, GIF")),
+    downloads.length > MAIN_FILES ? details("More files", files(downloads.slice(MAIN_FILES), at, "")) : "",
+    details(`${notes.length || "No"} ${notes.length === 1 ? "remark" : "remarks"} before you make it`, notes.map((c) => `${c.check}: ${c.text}`)),
+    details("How exactly sheet, lens and eye must be placed", run.tolerances),
   );
+}
+
+function files(downloads, at, className) {
+  return downloads.map(({ path, title }) => download(at(path), title, className));
 }
 
 function figures(view, at) {
   const score = view.psnr_db === null ? "" : `, ${view.psnr_db.toFixed(1)} dB`;
   const pictures = [
-    [view.target, `${view.name}: as wanted`],
-    [view.designed, `${view.name}: as designed${score}`],
-    [view.made, `${view.name}: as the machine makes it`],
+    [view.source, "The sheet"],
+    [view.target, "As wanted"],
+    view.made ? [view.made, "As the machine makes it, simulated"] : [view.designed, `As designed${score}`],
   ];
   return pictures.filter(([path]) => path).map(([path, text]) =>
-    element("figure", {}, element("img", { src: at(path), alt: text, loading: "lazy" }), element("figcaption", {}, text)));
+    element("figure", {}, element("img", { src: at(path), alt: `${view.name}: ${text}`, loading: "lazy" }), element("figcaption", {}, text)));
+}
+
+function sentence(text) {
+  return `${text[0].toUpperCase()}${text.slice(1)}.`;
 }
 
 function details(title, lines) {
@@ -118,6 +147,6 @@ function link(href, text) {
   return element("a", { href, target: "_blank", rel: "noopener" }, text);
 }
 
-function download(href, text) {
-  return element("a", { href, download: "" }, text);
+function download(href, text, className = "") {
+  return element("a", { href, download: "", className }, text);
 }

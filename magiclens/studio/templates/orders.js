@@ -1,4 +1,5 @@
 // Pictures and the form: what the user wants.
+import { preview } from "./preview.js";
 import { ask, complain, element, noComplaint, say } from "./server.js";
 
 const form = document.getElementById("order");
@@ -19,7 +20,10 @@ function draw() {
   const focus = document.activeElement?.id;
   list.replaceChildren(...names.map(item));
   if (focus) document.getElementById(focus)?.focus();
+  guess();
 }
+
+const guess = () => preview(chosen).catch(complain);
 
 function item(name) {
   const box = element("input", { type: "checkbox", id: `choose-${name}`, checked: chosen.includes(name) });
@@ -69,13 +73,14 @@ function order() {
     const many = least === most ? "one picture" : `${least} to ${most} pictures`;
     throw `Choose ${many} above; ${chosen.length} chosen now.`;
   }
-  return { scenario: radio.value, pictures: chosen, machine: values.get("machine") || null, size: values.get("size") };
+  return { scenario: radio.value, pictures: chosen, machine: values.get("machine") || null, size: values.get("size"), crop: values.get("crop") };
 }
 
 async function queue(made) {
   say("Checking");
   const done = await trying(async () => ask("POST", "/api/jobs", made()));
   say(done ? "The draft is queued" : "That cannot be designed: see the errors below the form");
+  if (done) document.getElementById("h-jobs").scrollIntoView({ block: "nearest" }); // on a phone it is far below
 }
 
 async function copy() {
@@ -116,6 +121,7 @@ export function listen() {
     const pasted = [...event.clipboardData.files];
     if (pasted.length) add(pasted);
   });
+  form.addEventListener("change", (event) => event.target.name && guess());
   form.addEventListener("submit", (event) => {
     event.preventDefault();
     queue(order);

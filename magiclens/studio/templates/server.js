@@ -48,3 +48,9 @@ export function noComplaint() {
 export function room(bytes) {
   return bytes < 1e6 ? `${Math.ceil(bytes / 1e3)} kB` : bytes < 1e9 ? `${(bytes / 1e6).toFixed(1)} MB` : `${(bytes / 1e9).toFixed(2)} GB`;
 }
+
+export function duration(seconds) {
+  const whole = Math.max(Math.round(seconds), 1);
+  if (whole < 90) return `${whole} s`;
+  return whole < 5400 ? `${Math.round(whole / 60)} minutes` : `${Math.round(whole / 3600)} hours`;
+}
