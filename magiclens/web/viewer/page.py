@@ -53,6 +53,7 @@ def viewer_fragment(run_dir: Path) -> str:
         side=_PICTURE_SIDE,
         kept=len(data["views"]),
         dropped=data["dropped"],
+        bears=bool(data["bears"]),
         data=Markup(json_for_script(data)),
         script=Markup(_script()),
     )

@@ -1,31 +1,37 @@
 // Sliders, buttons, tabs and the list of views.
 
-// ``good`` says whether a value is within the tolerances of the lens.
-function slider(into, label, low, high, step, get, set, text, good = () => false) {
-  const box = document.createElement("label"), input = document.createElement("input"), output = document.createElement("output");
+// ``zone`` has the least and the greatest value that the lens bears, and whether it bears the value; nothing if that is not known.
+function slider(into, label, low, high, step, get, set, text, zone = () => null) {
+  const box = document.createElement("label"), input = document.createElement("input"), output = document.createElement("output"), band = document.createElement("i");
   Object.assign(input, { type: "range", min: low, max: high, step, ariaLabel: label });
-  box.append(label, output, input);
+  box.append(label, output, input, band);
   into.append(box);
   input.addEventListener("input", () => set(Number(input.value)));
   const show = () => {
+    const bears = zone(), good = bears !== null && bears.held;
+    const [left, right] = (bears?.range ?? [low, low]).map((value) => (100 * (between(value, low, high) - low)) / (high - low));
+    band.hidden = bears === null;
+    Object.assign(band.style, { marginLeft: `${left}%`, width: `max(${right - left}%, 4px)` });
     input.value = get();
-    output.textContent = good() ? `${text(get())} \u2713` : text(get());
-    output.classList.toggle("mlens-good", good());
-    input.setAttribute("aria-valuetext", good() ? `${text(get())}, within tolerance` : text(get()));
+    output.textContent = good ? `${text(get())} \u2713` : text(get());
+    output.classList.toggle("mlens-good", good);
+    input.setAttribute("aria-valuetext", good ? `${text(get())}, within tolerance` : text(get()));
   };
   show();
   return { show };
 }
 
 const inMm = (value) => `${value.toFixed(1)} mm`, inDegrees = (value) => `${value.toFixed(0)}°`;
-// Whether a value of the pose is so near its home that the picture loses less than 3 dB by it; never if that is not known.
-function within(key) {
-  const limits = data.bears[key], by = pose[key] - homePose(current)[key], away = key === "angle" ? folded(by) : by;
-  return limits !== undefined && limits[0] <= away && away <= limits[1];
+// The values of the pose around its home at which the picture loses less than 3 dB by this one alone.
+function zoneOf(key) {
+  const limits = data.bears[key], home = homePose(current)[key], turns = key === "angle";
+  if (limits === undefined) return null;
+  const away = turns ? folded(pose[key] - home) : pose[key] - home;
+  return { range: limits.map((limit) => limit + (turns ? folded(home) : home)), held: limits[0] <= away && away <= limits[1] };
 }
 
 const ofPose = (key, label, low, high, text = inMm) =>
-  slider(part("sliders"), label, low, high, 0.5, () => (key === "angle" ? folded(pose.angle) : pose[key]), (value) => setPose({ [key]: value }), text, () => within(key));
+  slider(part("sliders"), label, low, high, 0.5, () => (key === "angle" ? folded(pose.angle) : pose[key]), (value) => setPose({ [key]: value }), text, () => zoneOf(key));
 const SLIDERS = [
   ofPose("x", "Lens right", -lens.size, 1.45 * lens.size), ofPose("y", "Lens up", -1.4 * lens.size, lens.size),
   ofPose("angle", "Lens turned left", -180, 180, inDegrees), ofPose("lift", "Lens lifted", 0, 0.6 * lens.size),
