@@ -480,6 +480,7 @@ def test_the_solid_is_coloured_and_cut_open(visit: Any) -> None:
     for a, b in ((0, 1), (0, 2), (1, 2)):
         assert (looks[a] != looks[b]).any(axis=-1).mean() > 0.02
     tab.get_by_role("slider", name="Section", exact=True).fill("50")
+    assert tab.locator("[data-part=cuts] output").first.inner_text() == "at 50 %"
     cut = canvas(tab)
     red, _, blue = np.moveaxis(cut.astype(int), -1, 0)
     assert (red > blue + 60).mean() > 0.02

@@ -6,7 +6,10 @@ function slider(into, label, low, high, step, get, set, text, zone = () => null)
   Object.assign(input, { type: "range", min: low, max: high, step, ariaLabel: label });
   box.append(label, output, input, band);
   into.append(box);
-  input.addEventListener("input", () => set(Number(input.value)));
+  input.addEventListener("input", () => {
+    set(Number(input.value));
+    show();
+  });
   const show = () => {
     const bears = zone(), good = bears !== null && bears.held;
     const [left, right] = (bears?.range ?? [low, low]).map((value) => (100 * (between(value, low, high) - low)) / (high - low));
