@@ -442,18 +442,21 @@ def test_without_a_gpu_dragging_is_smooth_and_rest_is_sharp(visit: Any) -> None:
     place, pose = tab.evaluate("magiclens.square()"), tab.evaluate("magiclens.pose()")
     per_mm, y = place["width"] / SIDE_MM, place["y"] + place["height"] / 2
     tab.mouse.move(place["x"] + place["width"] / 2 + pose["x"] * per_mm, y - pose["y"] * per_mm)
+    full = tab.evaluate("document.querySelector('.mlens canvas').width")
     tab.mouse.down()
-    before, began = tab.evaluate("magiclens.progress().pictures"), time.monotonic()
+    before, began, widths = tab.evaluate("magiclens.progress().pictures"), time.monotonic(), []
     while time.monotonic() - began < 2:
         tab.mouse.move(place["x"] + 80 * math.sin(5 * time.monotonic()), y + 60 * math.cos(5 * time.monotonic()))
         tab.wait_for_timeout(15)
+        widths.append(tab.evaluate("document.querySelector('.mlens canvas').width"))
     rate = (tab.evaluate("magiclens.progress().pictures") - before) / (time.monotonic() - began)
     tab.mouse.up()
     began = time.monotonic()
-    tab.wait_for_function("magiclens.progress().sharp && magiclens.progress().pictures > 0", polling=20)
-    rest, crowd = time.monotonic() - began, max(os.getloadavg()[0] / (os.cpu_count() or 1), 1)
-    assert rate > 10 / crowd, "shared among all that run here"
-    assert rest < 2 * crowd
+    tab.wait_for_function("magiclens.progress().sharp", polling=20)
+    rest, crowd = time.monotonic() - began, os.getloadavg()[0] / (os.cpu_count() or 1)
+    # where others keep the processors busy, it can only give up what it has: pixels
+    assert rate > 10 or (crowd > 1.5 and min(widths) < 0.4 * full), f"{rate:.1f} a second"
+    assert rest < 2 * max(crowd, 1)
 
 
 def test_lens_and_eye_glide_unless_motion_is_unwelcome(visit: Any) -> None:
