@@ -13,12 +13,14 @@ from typer.testing import CliRunner
 from lenses import COARSE, Lenses
 from magiclens.cli import app
 from magiclens.contract.errors import InputError
+from magiclens.geometry.solid import solid_from_heights
 from magiclens.images import resize, score
 from magiclens.images.art import ART
 from magiclens.images.files import read_image, write_png
 from magiclens.images.movies import read_frames, write_gif
 from magiclens.profiles.materials import materials
 from magiclens.rendering.poses import Pose
+from magiclens.rendering.tracer import Tracer
 from magiclens.running.open_run import open_run
 from magiclens.running.pipeline import Run
 
@@ -83,6 +85,19 @@ def test_a_lens_is_seen_in_any_pose(run: Run) -> None:
     far = score(lens.seen(Pose(shift_x_mm=5), "frame-01", 128), target).psnr_db
     near = score(lens.seen(Pose(shift_x_mm=0.1), "frame-01", 128), target).psnr_db
     assert designed > near > far + 3
+
+
+def test_the_top_as_made_is_that_of_the_print(run: Run, lenses: Lenses) -> None:
+    designed = open_run(run.folder)
+    np.testing.assert_allclose(designed.top_as_made.heights_mm, run.result.height_field.heights_mm, atol=1e-6)
+    printed = open_run(lenses.shipped("printed-single").folder)
+    view, top = printed.printed_scene.views[0], printed.top_as_made
+    mesh, sampled = (
+        score(Tracer(resolution=128).render(printed.printed_scene, solid)[0], view.target).psnr_db
+        for solid in (printed.solid, solid_from_heights(top))
+    )
+    assert top.eye_mm is None
+    assert sampled > mesh + 1
 
 
 def test_movies_are_encoded_frame_by_frame(run: Run, tmp_path: Path) -> None:

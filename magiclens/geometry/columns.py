@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from magiclens.contract.artifacts import FloatArray, IntArray, Solid
+from magiclens.contract.artifacts import FloatArray, HeightField, IntArray, Lens, Solid
 
 
 def top_heights(solid: Solid, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
@@ -32,6 +32,21 @@ def top_heights(solid: Solid, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
     z: FloatArray = highest(vertices, solid.faces, np.asarray(x_mm, float), np.asarray(y_mm, float), first, last)
     z[np.isneginf(z)] = np.nan
     return z
+
+
+def sampled_top(body: Solid, lens: Lens) -> HeightField:
+    """The top of any body at the vertices of a lens's grid, as a height field of vertical cells.
+
+    Args:
+        body: What stands above the lens's square, such as the lens as it was printed.
+        lens: Its grid is taken.
+    """
+    from magiclens.geometry.solid import grid_lines
+
+    lines = grid_lines(lens)[1:-1]  # without the rim, beyond which the body may end
+    n, k = lens.facets, lens.microfacets + 1
+    z = top_heights(body, lines, -lines).astype(np.float64).reshape(n, k, n, k)
+    return HeightField(lens, z.transpose(0, 2, 1, 3) - lens.thickness_mm, None)
 
 
 def rows_at(vertices: FloatArray, y_mm: FloatArray) -> tuple[IntArray, IntArray]:

@@ -79,6 +79,15 @@ class OpenRun:
             HeightField(self.plan.lens, self.files.heights(self.plan.lens), self.scene.cut_eye_mm)
         )
 
+    @cached_property
+    def top_as_made(self) -> HeightField:
+        """The top at the vertices of its grid: as its printer makes it, or as it was designed if none is named."""
+        from magiclens.geometry.columns import sampled_top
+
+        if self._body is not self.solid:
+            return sampled_top(self._body, self.plan.lens)
+        return HeightField(self.plan.lens, self.files.heights(self.plan.lens), self.scene.cut_eye_mm)
+
     def view(self, name: str | None = None) -> View:
         """The view of that name, the first one by default. Raises InputError if there is no such view."""
         names = [view.name for view in self.scene.views]

@@ -7,6 +7,7 @@ from pathlib import Path
 from markupsafe import Markup
 
 from magiclens.pages.templating import render_page, template_text
+from magiclens.profiles.machines import Printer
 from magiclens.running.manifest import REFERENCE_RENDERER, render_path, source_path
 from magiclens.running.open_run import OpenRun, open_run
 from magiclens.running.run_files import verified
@@ -44,7 +45,7 @@ def viewer_fragment(run_dir: Path) -> str:
     """
     lens = open_run(run_dir)
     data = viewer_data(lens)
-    view = lens.scene.views[0]
+    view, fabrication = lens.scene.views[0], lens.plan.fabrication
     return render_page(
         "magiclens.web.viewer/section.html",
         name=_name(lens.folder),
@@ -54,6 +55,7 @@ def viewer_fragment(run_dir: Path) -> str:
         kept=len(data["views"]),
         dropped=data["dropped"],
         bears=bool(data["bears"]),
+        printer=fabrication.name if fabrication and isinstance(fabrication.machine, Printer) else None,
         data=Markup(json_for_script(data)),
         script=Markup(_script()),
     )

@@ -38,12 +38,13 @@ MOST_CHOICES = 4
 
 
 def viewer_data(lens: OpenRun) -> dict[str, Any]:
-    """Everything that the script needs, ready for JSON.
+    """Everything that the script needs, ready for JSON. A lens that names its printer is shown as it is printed.
 
     Raises:
         InputError: The folder has no heights.
     """
-    heights = lens.files.heights(lens.plan.lens)
+    top = lens.top_as_made
+    heights = top.heights_mm
     packed = pack_heights(heights, finest_step_mm(lens.plan.lens), _HEIGHTS_BYTES)
     # base64 takes four characters for three bytes
     room = (MOST_BYTES - _PROGRAM_BYTES) * 3 // 4 - len(packed.content)
@@ -56,7 +57,7 @@ def viewer_data(lens: OpenRun) -> dict[str, Any]:
         "step": packed.step,
         "darkest": medium.black / medium.white if medium else 0.0,
         "steepest": max(_steepest_deg(heights, lens.plan.lens), 1.0),
-        **_lens_data(lens.plan.lens, lens.scene.cut_eye_mm),
+        **_lens_data(lens.plan.lens, top.eye_mm),
     }
     return {
         "lens": lens_data,
