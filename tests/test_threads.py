@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from magiclens.kernels.threads import LoopPart, in_threads
+from magiclens.kernels.threads import LoopPart, in_threads, side_by_side
 
 
 @njit(nogil=True)
@@ -31,3 +31,27 @@ def test_what_a_part_raises_is_raised() -> None:
 
     with pytest.raises(ValueError, match="to 100"):
         in_threads(fail, 100)
+
+
+def test_after_a_mistake_no_other_part_begins(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun: list[int] = []
+
+    def fail(part: LoopPart) -> None:
+        begun.append(part.first)
+        raise ValueError("this part")
+
+    monkeypatch.setattr("numba.get_num_threads", lambda: 2)
+    with pytest.raises(ValueError, match="this part"):
+        in_threads(fail, 100)
+    assert len(begun) <= 2
+
+
+def test_functions_side_by_side_return_in_order_and_may_run_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("numba.get_num_threads", lambda: 3)
+
+    def total(count: int) -> float:
+        out = np.zeros(count)
+        in_threads(count_up, count, 2.0, out)
+        return float(out.sum())
+
+    assert side_by_side(total, range(1, 40)) == [n * (n + 1) for n in range(1, 40)]

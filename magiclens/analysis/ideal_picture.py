@@ -8,7 +8,7 @@ from magiclens.analysis.base import Analysis, Findings
 from magiclens.contract.artifacts import Assignment, FloatArray, Scene, View
 from magiclens.contract.result import RunResult
 from magiclens.geometry.facets import patches_seen
-from magiclens.images import score
+from magiclens.images.score import best_exposure_psnr_db
 from magiclens.plan.compile import Plan
 
 
@@ -53,7 +53,7 @@ def predict_view(
 def bound_psnr_db(scene: Scene, assignment: Assignment, heights_mm: FloatArray | None = None) -> float:
     """Mean PSNR, dB, over the views of their ideal pictures against their targets: a bound for any real lens."""
     pictures = predict(scene, assignment, heights_mm=heights_mm)
-    return float(np.mean([score(p, v.target).psnr_db for p, v in zip(pictures, scene.views, strict=True)]))
+    return float(np.mean([best_exposure_psnr_db(p, v.target) for p, v in zip(pictures, scene.views, strict=True)]))
 
 
 def _compute(plan: Plan, result: RunResult) -> Findings:

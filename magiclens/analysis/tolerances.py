@@ -133,13 +133,15 @@ class Tolerances:
 
 def tolerances(scene: Scene, solid: Solid) -> Tolerances:
     """Measure what the first views of a scene lose through a solid with a grid when something is not as designed."""
+    from magiclens.kernels.threads import side_by_side
+
     views = scene.views[:_MOST_VIEWS]
     bench = _Bench(scene, solid, views, RESOLUTION)
-    responses = [response for axis in _AXES for response in bench.responses(axis)]
+    responses = [response for responses in side_by_side(bench.responses, _AXES) for response in responses]
     found = {response.field: response for response in responses}
     reach = 2 * max(found["shift_x_mm"].tolerance, found["shift_y_mm"].tolerance)
     shifts, coarse = np.linspace(-reach, reach, _MAP_STEPS), _Bench(scene, solid, views, _MAP_RESOLUTION)
-    rows = [[_mean_psnr_db(coarse.scores(Pose(shift_x_mm=x, shift_y_mm=y))) for x in shifts] for y in -shifts]
+    rows = side_by_side(lambda y: [coarse.mean_psnr_db(Pose(shift_x_mm=x, shift_y_mm=y)) for x in shifts], -shifts)
     return Tolerances(found, shifts, np.array(rows))
 
 
@@ -168,7 +170,14 @@ class _Bench:
 
     def scores(self, pose: Pose) -> list[tuple[float, float]]:
         """PSNR, dB, and SSIM of each view."""
-        return [self._score(view, pose) for view in self._views]
+        from magiclens.images.score import score
+
+        found = [score(self._posed.picture(view, pose), view.target) for view in self._views]
+        return [(each.psnr_db, each.ssim) for each in found]
+
+    def mean_psnr_db(self, pose: Pose) -> float:
+        """Mean PSNR of the views, dB."""
+        return float(np.mean([self._psnr_db(view, pose) for view in self._views]))
 
     def _reach(self, axis: _Axis, most: float) -> float:
         """About how much of an axis's first field costs the first view ``FALL_DB``."""
@@ -185,17 +194,12 @@ class _Bench:
 
     def _error(self, pose: Pose) -> float:
         """Mean squared error of the first view."""
-        return float(10 ** (-self._score(self._views[0], pose)[0] / 10))
+        return float(10 ** (-self._psnr_db(self._views[0], pose) / 10))
 
-    def _score(self, view: View, pose: Pose) -> tuple[float, float]:
-        from magiclens.images.score import score
+    def _psnr_db(self, view: View, pose: Pose) -> float:
+        from magiclens.images.score import best_exposure_psnr_db
 
-        found = score(self._posed.picture(view, pose), view.target)
-        return found.psnr_db, found.ssim
-
-
-def _mean_psnr_db(scores: Sequence[tuple[float, float]]) -> float:
-    return float(np.mean([psnr_db for psnr_db, _ in scores]))
+        return best_exposure_psnr_db(self._posed.picture(view, pose), view.target)
 
 
 def _crossing(squares: FloatArray, psnr_db: FloatArray) -> float:

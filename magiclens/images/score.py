@@ -28,12 +28,25 @@ def score(render_linear: FloatArray, target_linear: FloatArray, gain: float | No
         target_linear: (H, W, C) linear light, resized to the render. The two may have 1 and 3 channels.
         gain: Exposure by which the render is multiplied; by default the one that fits the target best (least squares).
     """
+    seen, wanted, gain = _exposed(render_linear, target_linear, gain)
+    return Score(psnr_db(seen, wanted), _ssim(seen.mean(-1), wanted.mean(-1)), gain)
+
+
+def best_exposure_psnr_db(render_linear: FloatArray, target_linear: FloatArray) -> float:
+    """The PSNR alone of ``score``, without SSIM, which takes most of its time."""
+    seen, wanted, _ = _exposed(render_linear, target_linear, None)
+    return psnr_db(seen, wanted)
+
+
+def _exposed(
+    render_linear: FloatArray, target_linear: FloatArray, gain: float | None
+) -> tuple[FloatArray, FloatArray, float]:
+    """Display values of an exposed render and of its target, and the exposure."""
     target = resize(target_linear, render_linear.shape[:2]).astype(np.float64)
     render, target = np.broadcast_arrays(render_linear.astype(np.float64), target)
     if gain is None:
         gain = float((render * target).sum() / max(float((render**2).sum()), 1e-12))
-    seen, wanted = to_display(render * gain), to_display(target)
-    return Score(psnr_db(seen, wanted), _ssim(seen.mean(-1), wanted.mean(-1)), gain)
+    return to_display(render * gain), to_display(target), gain
 
 
 def psnr_db(seen: FloatArray, wanted: FloatArray) -> float:

@@ -6,14 +6,17 @@ the time of a first run. A plain loop that is compiled with ``nogil`` runs in th
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 _PARTS_PER_THREAD = 8
 """Parts are more than threads, so that no thread waits long for one whose part takes more time."""
+
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
 
 
 class LoopPart(NamedTuple):
@@ -24,7 +27,7 @@ class LoopPart(NamedTuple):
 
 
 def in_threads(kernel: Callable[..., None], count: int, *arguments: Any) -> None:
-    """Call a kernel for consecutive parts of a loop, in as many threads as numba would use.
+    """Call a kernel for consecutive parts of a loop, in as many threads as numba would use; this one is one of them.
 
     Args:
         kernel: Compiled with ``nogil``; takes a ``LoopPart`` and the arguments. For each index it must write to
@@ -37,14 +40,38 @@ def in_threads(kernel: Callable[..., None], count: int, *arguments: Any) -> None
     threads: int = get_num_threads()
     parts = min(count, _PARTS_PER_THREAD * threads if threads > 1 else 1)
     edges = [k * count // max(parts, 1) for k in range(parts + 1)]
-    calls = [LoopPart(first, end) for first, end in pairwise(edges)]
-    if len(calls) < 2:
-        for part in calls:
+    left = iter([LoopPart(first, end) for first, end in pairwise(edges)])
+
+    def work() -> None:
+        for part in left:  # shared: each thread takes the next part that none has taken
             kernel(part, *arguments)
-    else:
-        list(_pool(threads).map(lambda part: kernel(part, *arguments), calls))
+
+    helpers = [_pool(threads).submit(work) for _ in range(min(parts, threads) - 1)]
+    try:
+        work()
+    finally:
+        for _ in left:  # after an error nobody shall begin another part
+            pass
+        for helper in helpers:
+            if not helper.cancel():  # one that has not begun yet, since others keep the pool busy, is not waited for
+                helper.result()
+
+
+def side_by_side(work: Callable[[_Item], _Result], items: Iterable[_Item]) -> list[_Result]:
+    """What a Python function returns for some items, called in as many threads as numba would use; in their order.
+
+    Args:
+        work: Must not depend on the order of calls. Threads help where it releases the interpreter: in kernels, NumPy
+            and SciPy.
+        items: Its arguments.
+    """
+    from numba import get_num_threads
+
+    # threads of their own: those of kernels would wait for each other
+    with ThreadPoolExecutor(get_num_threads(), "side by side") as pool:
+        return list(pool.map(work, items))
 
 
 @cache
 def _pool(threads: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(threads, "kernel")
+    return ThreadPoolExecutor(threads - 1, "kernel")

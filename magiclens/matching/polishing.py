@@ -6,6 +6,7 @@ import numpy as np
 
 from magiclens.contract.artifacts import Candidates, FloatArray, Scene
 from magiclens.images import to_display
+from magiclens.kernels.threads import side_by_side
 from magiclens.matching.channels import Channels, stack_channels
 from magiclens.matching.evaluation_kernels import Staircase, evaluate
 from magiclens.matching.grain import flat_scale, seen_grain
@@ -94,7 +95,7 @@ def blur_levels(source: FloatArray, source_px_mm: float, grain_mm: float, widths
     grain = grain_mm / source_px_mm
     grained = box_blur(source, grain, grain)
     widths = [w / source_px_mm for w in widths_mm]
-    return np.stack([to_display(box_blur(grained, w, w)) for w in widths]).astype(np.float32)
+    return np.stack(side_by_side(lambda w: to_display(box_blur(grained, w, w)), widths)).astype(np.float32)
 
 
 def box_blur(image: FloatArray, rows: float, columns: float) -> FloatArray:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from magiclens.contract.artifacts import FloatArray, IntArray, Lens, View
-from magiclens.images import resize, score
+from magiclens.images import resize
+from magiclens.images.score import best_exposure_psnr_db
 from magiclens.preflight.finding import Finding, Status
 from magiclens.preflight.mesh_file import MeshFile
 from magiclens.preflight.triangles import trace_triangles_for_views
@@ -123,7 +124,7 @@ def check_source_resolution(lens: Lens, views: Sequence[View]) -> Finding:
 
 def _mean_psnr_db(pictures: Sequence[FloatArray], targets: Sequence[FloatArray]) -> float:
     pairs = zip(pictures, targets, strict=True)
-    return float(np.mean([score(picture, target).psnr_db for picture, target in pairs]))
+    return float(np.mean([best_exposure_psnr_db(picture, target) for picture, target in pairs]))
 
 
 def _pixels(positions: FloatArray, count: int) -> IntArray:

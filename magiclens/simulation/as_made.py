@@ -11,6 +11,7 @@ import numpy as np
 from magiclens.contract.artifacts import FloatArray, Scene, Solid, View
 from magiclens.contract.errors import InputError
 from magiclens.images import score, write_png
+from magiclens.images.score import best_exposure_psnr_db
 from magiclens.profiles.machines import Machine, Mill, Printer
 from magiclens.rendering.mitsuba import Mitsuba
 from magiclens.rendering.tracer import Tracer
@@ -97,4 +98,4 @@ def exposed(pictures: Sequence[FloatArray], views: Sequence[View]) -> list[Float
 
 def _psnr_db(pictures: Sequence[FloatArray], scene: Scene) -> float:
     pairs = zip(pictures, scene.views, strict=True)
-    return float(np.mean([score(picture, view.target).psnr_db for picture, view in pairs]))
+    return float(np.mean([best_exposure_psnr_db(picture, view.target) for picture, view in pairs]))
