@@ -66,7 +66,7 @@ def search_window(source: FloatArray, target: FloatArray) -> FloatArray:
     from magiclens.optics.medium import Optics
 
     plain = np.ascontiguousarray(source.transpose(2, 0, 1))
-    samples, means = plain[:, None, None], block_means(plain, 1, 1)[:, None, None]
+    samples, means = plain[:, None], block_means(plain, 1, 1)[:, None, None]
     values = np.ascontiguousarray(tiles_of(target).transpose(0, 3, 1, 2))
     per_side = _PIXELS // BLOCK_PIXELS
     blocks = values.reshape(*values.shape[:2], per_side, BLOCK_PIXELS, per_side, BLOCK_PIXELS).mean(axis=(3, 5))

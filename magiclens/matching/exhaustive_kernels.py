@@ -1,8 +1,9 @@
 """The exhaustive search: every offset in the window, for one raster and all four signs of its map.
 
 A candidate's squared difference is bounded from below by that of the means of blocks of pixels (the mean of squares is
-at least the square of the mean). The bound is computed for whole rows of offsets at once; only offsets that may still
-enter their bucket are compared pixel by pixel.
+at least the square of the mean). The bound is computed for whole rows of offsets at once. In each bucket the
+offset with the least bound is compared first, pixel by pixel, and then only those whose bounds are not above its
+difference.
 """
 
 from __future__ import annotations
@@ -20,6 +21,9 @@ from magiclens.matching.rasters import Raster
 from magiclens.matching.reachability_kernels import distance_term, reachable
 from magiclens.matching.tuples import Found, Tiles, Window
 from magiclens.optics.medium import Optics
+
+_ROUNDING = np.float32(1e-4)
+"""Share by which sums of the same squares in another order cannot differ."""
 
 
 class _Samples(NamedTuple):
@@ -41,15 +45,49 @@ def _locate(first, skip, stride, phases, indices):
 
 # not plain fastmath: the limit is infinite until a bucket has a candidate
 @njit(cache=True, fastmath={"contract", "reassoc", "arcp"})
-def _difference(tile, raster, at, n, limit):
-    """Sum of squared differences of a tile against the raster, n offsets to the right; stops once above the limit."""
-    phase_y, at_y, phase_x, at_x = at
-    channels, pixels, _ = tile.shape
+def _is_above(tile, samples, at, skip, limit):
+    """Whether ``_difference`` is above a limit, but for rounding: its squares are added up in another order.
+
+    Processors add up four sums side by side at once, but the one sum of ``_difference`` one square after the other.
+    """
+    phase, y, x = at
+    pixels, channels, _ = tile.shape
+    total = np.float32(0.0)
+    for ky in range(pixels):
+        s0 = s1 = s2 = s3 = np.float32(0.0)
+        row = y + ky * skip
+        for c in range(channels):
+            for kx in range(0, pixels, 4):
+                at_x = x + kx
+                d0 = tile[ky, c, kx] - samples[c, phase, row, at_x]
+                d1 = tile[ky, c, kx + 1] - samples[c, phase, row, at_x + 1]
+                d2 = tile[ky, c, kx + 2] - samples[c, phase, row, at_x + 2]
+                d3 = tile[ky, c, kx + 3] - samples[c, phase, row, at_x + 3]
+                s0, s1, s2, s3 = s0 + d0 * d0, s1 + d1 * d1, s2 + d2 * d2, s3 + d3 * d3
+        total += (s0 + s1) + (s2 + s3)
+        if total > limit:
+            return True
+    return False
+
+
+@njit(cache=True, fastmath={"contract"})
+def _difference(tile, samples, at, skip, limit):
+    """Sum of squared differences of a tile against a patch of the raster; stops once above the limit.
+
+    Args:
+        tile: (P, C, P) rows of pixels.
+        samples: (C, skip_x, Y, X) of the raster, see ``build_raster``.
+        at: phase, row and column of the patch's first sample.
+        skip: samples from one row of pixels to the next.
+        limit: a larger sum is of no interest.
+    """
+    phase, y, x = at
+    pixels, channels, _ = tile.shape
     total = np.float32(0.0)
     for ky in range(pixels):
         for c in range(channels):
             for kx in range(pixels):
-                d = tile[c, ky, kx] - raster[c, phase_y[ky], phase_x[kx], at_y[ky], at_x[kx] + n]
+                d = tile[ky, c, kx] - samples[c, phase, y + ky * skip, x + kx]
                 total += d * d
         if total > limit:
             break
@@ -82,6 +120,26 @@ def _bound_row(acc, count, blocks, means, at):
 
 
 @njit(cache=True)
+def _fill_rows(values, flip_x, flip_y, tile):
+    """Fill in the rows of a tile, (P, C, P), from its values (C, P, P), mirrored or not."""
+    pixels = len(tile)
+    for ky in range(pixels):
+        for c in range(len(values)):
+            for kx in range(pixels):
+                tile[ky, c, kx] = values[c, pixels - 1 - ky if flip_y else ky, pixels - 1 - kx if flip_x else kx]
+
+
+@njit(cache=True)
+def _least_of_buckets(bounds, edges, least):
+    """Fill in the least bound of a row of offsets in each bucket; inf where it has no offset."""
+    for b in range(len(least)):
+        lowest = np.float32(np.inf)
+        for n in range(edges[b], edges[b + 1]):
+            lowest = min(lowest, bounds[n])
+        least[b] = lowest
+
+
+@njit(cache=True)
 def _span(centre, window, spacing, mid, last, stride):
     """First samples of patches that lie inside the source, their centres in the window: the first, and how many."""
     first = max(0, math.ceil((centre - window.half) / spacing - mid))
@@ -104,7 +162,7 @@ def _bucket_edges(centre, window, spacing, first, stride, count):
 def _search_facet(f, tiles, blocks, raster, window, mirrored, optics, found):
     """Try every offset of a raster for facet f, see ``search``."""
     channels, pixels = tiles.values.shape[1], tiles.values.shape[2]
-    sy, sx = raster.samples.shape[1], raster.samples.shape[2]
+    sy, sx = raster.means.shape[1], raster.means.shape[2]
     norm = np.float32(1.0 / (channels * pixels * pixels))
     reach_x, reach_y = (pixels - 1) * raster.skip_x, (pixels - 1) * raster.skip_y
     mid_x, mid_y = 0.5 * (reach_x - raster.count_x + 1), 0.5 * (reach_y - raster.count_y + 1)
@@ -114,40 +172,62 @@ def _search_facet(f, tiles, blocks, raster, window, mirrored, optics, found):
     y0, n_y = _span(cy, window, raster.spacing_y, mid_y, raster.count_y - 1 - reach_y, sy)
     if n_x < 1 or n_y < 1:
         return
-    acc = np.zeros(raster.samples.shape[4] + 1, np.float32)
+    bounds = np.empty((n_y, n_x), np.float32)
+    least = np.empty((n_y, window.buckets), np.float32)
+    tile = np.empty((pixels, channels, pixels), np.float32)
     edges = _bucket_edges(cx, window, raster.spacing_x, (mid_x, x0), sx, n_x)
     at = _Samples(
         np.zeros(pixels, np.int64), np.zeros(pixels, np.int64), np.zeros(pixels, np.int64), np.zeros(pixels, np.int64)
     )  # fmt: skip
     _locate(x0, raster.skip_x, sx, at.phase_x, at.at_x)
+    rows = np.empty(n_y, np.int64)
+    for j in range(n_y):
+        ry = (y0 + j * sy + mid_y) * raster.spacing_y - cy
+        rows[j] = min(max(int((ry + window.half) / (2.0 * window.half) * window.buckets), 0), window.buckets - 1)
     for sign in range(4 if mirrored else 1):
         flip_x, flip_y = (sign & 1) == 1, (sign & 2) == 2
         xx, yy = -raster.scale_x if flip_x else raster.scale_x, -raster.scale_y if flip_y else raster.scale_y
-        tile = tiles.values[f, :, :: -1 if flip_y else 1, :: -1 if flip_x else 1]
+        _fill_rows(tiles.values[f], flip_x, flip_y, tile)
         block = blocks[f, :, :: -1 if flip_y else 1, :: -1 if flip_x else 1]
         for j in range(n_y):
-            ry = (y0 + j * sy + mid_y) * raster.spacing_y - cy
-            bucket_y = min(max(int((ry + window.half) / (2.0 * window.half) * window.buckets), 0), window.buckets - 1)
             _locate(y0 + j * sy, raster.skip_y, sy, at.phase_y, at.at_y)
-            _bound_row(acc, n_x, block, raster.means, at)
-            for b in range(window.buckets):
-                k = bucket_y * window.buckets + b
-                limit = found.errors[f, k] / norm
-                for n in range(edges[b], edges[b + 1]):
-                    if acc[n] >= limit:
+            _bound_row(bounds[j], n_x, block, raster.means, at)
+            _least_of_buckets(bounds[j], edges, least[j])
+        for k in range(window.buckets * window.buckets):
+            b = k % window.buckets
+            first, end = np.searchsorted(rows, k // window.buckets), np.searchsorted(rows, k // window.buckets + 1)
+            if first == end:
+                continue
+            likely = first + np.argmin(least[first:end, b])
+            # differences above this are of no interest: the offset with the least bound has it, or nothing is known yet
+            enough = np.float32(np.inf)
+            for probing in (True, False):
+                for j in range(likely if probing else first, likely + 1 if probing else end):
+                    limit = found.errors[f, k] / norm
+                    if least[j, b] >= limit or least[j, b] > enough:
                         continue
-                    rx = (x0 + n * sx + mid_x) * raster.spacing_x - cx
-                    far = np.float32(distance_term(rx, ry, window) / norm)
-                    if acc[n] + far >= limit:
-                        continue
-                    ssd = _difference(tile, raster.samples, at, n, limit - far) + far
-                    if ssd >= limit:
-                        continue
-                    if reachable((cx, cy), (rx, ry), (xx, 0.0, yy), half, optics):
-                        limit = ssd
-                        found.errors[f, k] = ssd * norm
-                        found.offsets[f, k, 0], found.offsets[f, k, 1] = rx, ry
-                        found.maps[f, k, 0], found.maps[f, k, 1], found.maps[f, k, 2] = xx, 0.0, yy
+                    ry, row = (y0 + j * sy + mid_y) * raster.spacing_y - cy, y0 + j * sy
+                    for n in range(edges[b], edges[b + 1]):
+                        if bounds[j, n] >= limit or bounds[j, n] > (least[j, b] if probing else enough):
+                            continue
+                        rx, column = (x0 + n * sx + mid_x) * raster.spacing_x - cx, x0 + n * sx
+                        far = np.float32(distance_term(rx, ry, window) / norm)
+                        if bounds[j, n] + far >= limit or bounds[j, n] + far > enough:
+                            continue
+                        place, most = (column % raster.skip_x, row, column // raster.skip_x), min(limit, enough)
+                        if _is_above(tile, raster.samples, place, raster.skip_y, most * (1 + _ROUNDING) - far):
+                            continue
+                        ssd = _difference(tile, raster.samples, place, raster.skip_y, most - far) + far
+                        if ssd >= limit or ssd > enough:
+                            continue
+                        if reachable((cx, cy), (rx, ry), (xx, 0.0, yy), half, optics):
+                            if probing:
+                                enough = ssd
+                                break
+                            limit = ssd
+                            found.errors[f, k] = ssd * norm
+                            found.offsets[f, k, 0], found.offsets[f, k, 1] = rx, ry
+                            found.maps[f, k, 0], found.maps[f, k, 1], found.maps[f, k, 2] = xx, 0.0, yy
 
 
 @njit(cache=True, nogil=True)

@@ -45,8 +45,8 @@ class Raster(NamedTuple):
     """A raster as the search takes it: for one pair of map magnitudes along x and y, and all four signs of these.
 
     Args:
-        samples: (C, sy, sx, Y, X) float32 display values, see ``build_raster``.
-        means: block means, likewise.
+        samples: (C, skip_x, Y, X) float32 display values, see ``build_raster``.
+        means: (C, sy, sx, Y, X) float32 block means, see ``build_raster``.
         scale_x, scale_y: magnitudes of the map.
         spacing_x, spacing_y: distance between neighbouring samples, mm.
         count_x, count_y: how many samples there are.
@@ -108,8 +108,10 @@ def build_raster(
 ) -> tuple[FloatArray, FloatArray]:
     """Average columns over their footprints along y, too, and lay the samples out for the search.
 
-    Sample (r_y, r_x) of the plain raster sits at [:, r_y % sy, r_x % sx, r_y // sy, r_x // sx], so that neighbouring
-    offsets are neighbours in memory. A block mean averages BLOCK_PIXELS x BLOCK_PIXELS tile pixels from that sample on.
+    Sample (r_y, r_x) of the plain raster sits at [:, r_x % skip, r_y, r_x // skip], with the skip along x, so that the
+    pixels of a tile's row are neighbours in memory. Its block mean sits at [:, r_y % sy, r_x % sx, r_y // sy,
+    r_x // sx], with the strides, so that neighbouring offsets are. A block mean averages BLOCK_PIXELS x BLOCK_PIXELS
+    tile pixels from that sample on.
 
     Args:
         columns: (C, H, x.count) float32, linear light: the source averaged along x.
@@ -118,12 +120,12 @@ def build_raster(
         x, y: the raster's axes.
 
     Returns:
-        Samples and block means, both (C, y.stride, x.stride, Y, X) float32 display values.
+        Samples (C, x.skip, y.count, X) and block means (C, y.stride, x.stride, Y, X), float32 display values.
     """
-    shape = (columns.shape[0], y.stride, x.stride, -(-y.count // y.stride), -(-x.count // x.stride))
-    raster = np.zeros(shape, np.float32)
     plain = display_rows(columns, first, weights, DISPLAY_TABLE)
-    split(plain, raster)
+    samples = np.zeros((len(plain), 1, x.skip, y.count, -(-x.count // x.skip)), np.float32)
+    split(plain, samples)
+    shape = (len(plain), y.stride, x.stride, -(-y.count // y.stride), -(-x.count // x.stride))
     blocks = np.zeros(shape, np.float32)
     split(block_means(plain, y.skip, x.skip), blocks)
-    return raster, blocks
+    return samples[:, 0], blocks
