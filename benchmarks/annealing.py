@@ -15,7 +15,7 @@ from magiclens.contract.artifacts import Candidates
 def comparisons(options: argparse.Namespace) -> list[Comparison]:
     """Against the same energy cooled many times as slowly: how much is left to gain, and at what price."""
     small = ("lens.facets=16", "lens.microfacets=8") if options.quick else ("lens.facets=32",)
-    kept, sweeps = (8, 60) if options.quick else (32, 2000)
+    kept, sweeps = (8, 60) if options.quick else (32, 600)
     scene, found = planned("single", *small)[1], candidates("single", *small)
     found = Candidates(found.offsets_mm[:, :, :kept], found.maps[:, :, :kept], found.errors[:, :, :kept])
 

@@ -58,10 +58,11 @@ def _mitsuba(scene: Scene, solid: Solid, variant: str, size: tuple[int, int]) ->
 
 
 def _pictures_agree(ours: FloatArray, theirs: FloatArray) -> str:
-    """In 16 x 16 parts: pixels have the noise of a few paths, at other places of each pixel."""
+    """In 16 x 16 parts, and as well as paths at random places, of which a part has so many, can tell."""
     side = len(ours) // 16
     parts = np.abs((ours - theirs).reshape(16, side, 16, side, -1).mean(axis=(1, 3, 4)))
-    return require(parts.mean() < 0.02, f"256 parts of the picture equal to {parts.mean():.1g} of 1 on average")
+    noise = 0.6 / np.sqrt(side * side * 4)
+    return require(parts.mean() < max(noise, 0.01), f"256 parts of the picture equal to {parts.mean():.1g} of 1")
 
 
 def _embree(scene: Scene, solid: Solid, resolution: int) -> Work:
