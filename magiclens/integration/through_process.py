@@ -143,7 +143,11 @@ class WholeTop:
         self.gradients = np.zeros((blocks, blocks, channels, nodes, nodes, 2), np.float32)
 
     def heights_of(self, built: HeightField) -> FloatArray:
-        """The vertices of a height field; a step between two facets becomes a slope."""
+        """The vertices of a height field, its relief in the middle; a step between two facets becomes a slope.
+
+        The top of a lens that stands on its source is a dome, since its corners look inward. In the middle of the
+        relief there is room for what goes on beyond the lens's square.
+        """
         n, m = self._lens.facets, self._lens.microfacets
         total, count = np.zeros((n * m + 1,) * 2), np.zeros((n * m + 1,) * 2)
         for i in range(m + 1):
@@ -151,7 +155,8 @@ class WholeTop:
                 rows, columns = slice(i, i + (n - 1) * m + 1, m), slice(j, j + (n - 1) * m + 1, m)
                 total[rows, columns] += built.heights_mm[:, :, i, j]
                 count[rows, columns] += 1
-        return self._allowed(total / count)
+        heights = total / count
+        return self._allowed(heights - (heights.min() + heights.max()) / 2)
 
     def facets_of(self, heights: FloatArray) -> FloatArray:
         """(N, N, m + 1, m + 1) float64: the heights by facets."""
@@ -267,10 +272,7 @@ class WholeTop:
         return filtered(forces, self._smooth)
 
     def _allowed(self, heights: FloatArray) -> FloatArray:
-        """The heights, within relief and slope limit; if they are too low or too high, all are moved before any is cut.
-
-        The top of a lens that stands on its source is a dome: its corners look inward.
-        """
+        """The heights, within relief and slope limit; all are moved before any is cut."""
         lens = self._lens
         low, high = float(heights.min()), float(heights.max())
         heights = heights + max(-lens.relief_mm - low, 0.0) - max(high - lens.relief_mm, 0.0)
