@@ -70,6 +70,7 @@ def test_coupons_are_closed_and_quickly_printed(name: str) -> None:
         assert 5 < printing_minutes(solid, printer) < 20
 
 
+@pytest.mark.tools
 def test_a_coupons_folder_has_all_that_is_needed(tmp_path: Path) -> None:
     done = mlens("coupon", "--machine", "printing", "--out", tmp_path / "c", "--json")
     assert done.exit_code == 0, done.output

@@ -24,7 +24,7 @@ def rotating(lenses: Lenses) -> Run:
     return lenses.shipped("rotating")
 
 
-LONG = {"printed-rotating", "printed-universal", "question-answer-universal"}
+LONG = {"printed-lcd", "printed-rotating", "printed-universal", "question-answer-universal"}
 """Specs whose small lenses take longest; each has a sister among the others."""
 
 

@@ -110,6 +110,7 @@ function drawSolid(now, moving) {
 
 // While something moves, slow machines draw fewer pixels; at rest they draw some rows at a time, and stay ready for a move.
 function drawTable(now, moving) {
+  if (!moving && added >= table.most) return true; // another sample would count twice
   const [width, height] = size(moving), { mm, w, middle } = region(), first = nextRow;
   const { wood, lost } = colors(), sheen = between(6 * awayFromHome(pose), 0.05, 1), samples = moving || table.most === 1 ? 1 : SAMPLES;
   const rows = Math.min(moving ? height : pace.rows(width, height), height - first);
