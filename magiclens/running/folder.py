@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -67,11 +68,8 @@ def require_same_name(out: Path, name: str) -> None:
     Raises:
         InputError: A run whose spec has another name is there.
     """
-    try:
-        manifest = json.loads((out / MANIFEST).read_bytes())
-    except (OSError, ValueError):
-        return
-    if is_run_manifest(manifest) and manifest.get("name") != name:
+    manifest = _run_manifest(out)
+    if manifest and manifest.get("name") != name:
         raise InputError(
             f"'{out}' is the run of another spec, '{manifest.get('name')}'; choose another --out, "
             "or replace it with --force",
@@ -114,16 +112,22 @@ def transport_path(view: View) -> str:
     return f"{_TRANSPORTS}/{view.name}.npz"
 
 
+def _run_manifest(folder: Path) -> dict[str, Any] | None:
+    """The manifest of the run in a folder; None if there is no run."""
+    try:
+        manifest: dict[str, Any] = json.loads((folder / MANIFEST).read_bytes())
+    except (OSError, ValueError):
+        return None
+    return manifest if is_run_manifest(manifest) else None
+
+
 def _not_of_the_run(folder: Path) -> list[str] | None:
     """What a run folder holds that its manifest does not list; None if it is none and not empty."""
     found = [path for path in sorted(folder.rglob("*")) if path.is_symlink() or not path.is_dir()]
     if not found:
         return []
-    try:
-        manifest = json.loads((folder / MANIFEST).read_bytes())
-    except (OSError, ValueError):
-        return None
-    if not is_run_manifest(manifest):
+    manifest = _run_manifest(folder)
+    if manifest is None:
         return None
     listed = {MANIFEST, *(artifact["path"] for artifact in manifest["artifacts"])}
     names = [path.relative_to(folder).as_posix() for path in found if path.name not in OF_SYSTEMS]

@@ -27,7 +27,7 @@ from magiclens.running.run_files import RunFiles, verified
 
 if TYPE_CHECKING:
     from magiclens.preflight.finding import Preflight
-    from magiclens.rendering.poses import Pose
+    from magiclens.rendering.poses import Pose, PosedLens
 
 _FRAMES_PER_BATCH = 4
 """Frames that are encoded together; more would hold more pictures in memory at once."""
@@ -206,9 +206,15 @@ class OpenRun:
         """
         from magiclens.rendering.poses import Pose, PosedLens
 
-        scene, place = self._lit_scene, self.scene.views.index(self.view(name))
-        posed = PosedLens(self._body, scene.lens, resolution, _SAMPLES)
-        return posed.picture(scene.views[place], pose or Pose())
+        place = self.scene.views.index(self.view(name))
+        if resolution not in self._posed:
+            self._posed[resolution] = PosedLens(self._body, self.scene.lens, resolution, _SAMPLES)
+        return self._posed[resolution].picture(self._lit_scene.views[place], pose or Pose())
+
+    @cached_property
+    def _posed(self) -> dict[int, PosedLens]:
+        """By resolution: a sheet that is moved below the lens needs no other rays."""
+        return {}
 
     @cached_property
     def _lit_scene(self) -> Scene:
@@ -248,7 +254,7 @@ def check_run_folder(folder: str | Path, registry: Registry | None = None) -> tu
     plan = _plan_of(files, registry)
     if plan.fabrication and files.has(HEIGHTS):
         lens = OpenRun(files, plan, plan.scene())
-        pictures = rough_pictures(plan.fabrication.machine, plan.on_medium(lens.printed_scene), lens.solid)
+        pictures = rough_pictures(plan.fabrication.machine, lens._lit_scene, lens.solid)
         write_pictures(pictures, lens.scene.views[: len(pictures)], path, "as-made-rough")
     found = run_preflight(path, files.manifest, plan)
     write_preflight(found, path)
