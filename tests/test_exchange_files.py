@@ -17,7 +17,7 @@ from fabricated import EYE, LENS, box, bumpy, flat, written
 from magiclens.contract.artifacts import FloatArray, Lens, Scene, Solid
 from magiclens.contract.errors import InputError
 from magiclens.contract.stages import Exporter
-from magiclens.exporting.digits import text_rows
+from magiclens.exporting.digits import numbers_of, text_rows
 from magiclens.exporting.gltf import Glb
 from magiclens.exporting.height_map import HeightMap
 from magiclens.exporting.mesh_files import Stl
@@ -164,6 +164,21 @@ def test_numbers_as_text_have_their_decimals_without_zeros_at_the_end() -> None:
     assert fixed == b"(0,0.000001);(-0.000001,1.5);(-12.345678,1000000);(-1000000000000,0.999999);"
     whole = text_rows(numbers[:3], (b"(", b",", b");"))
     assert whole == b"(0,1);(-1,1500000);(-12345678,1000000000000);"
+
+
+def test_numbers_are_read_as_python_reads_them() -> None:
+    around = (b"<", b" ", b">\n")
+    numbers = np.random.default_rng(3).integers(-(10**9), 10**9, (500, 2))
+    text = text_rows(numbers, around, 6)
+    read = [[float(number) for number in line[1:-1].split()] for line in text.splitlines()]
+    np.testing.assert_array_equal(numbers_of(text, around), read)
+
+
+@pytest.mark.parametrize(
+    "text", [b"<1 2>", b"<1 2>\n ", b"<1 >\n", b"<1e3 2>\n", b"<1 2>\n<1  2>\n", b"<1 .>\n", b"<1\n"]
+)
+def test_text_of_another_form_is_left_to_other_readers(text: bytes) -> None:
+    assert numbers_of(text, (b"<", b" ", b">\n")) is None
 
 
 def test_glb_is_in_metres_with_the_viewer_above(tmp_path: Path) -> None:

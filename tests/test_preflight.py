@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from zipfile import ZipFile
 
 import numpy as np
 import pytest
@@ -93,6 +94,28 @@ def test_a_sound_lens_is_fit_to_be_made(run: Run) -> None:
     }  # fmt: skip
 
 
+@pytest.mark.parametrize(
+    ("ours", "theirs"), [(b'"/>\n', b'" />\n'), (b' x="', b'  x="'), (b"vertices>", b"vertices >")]
+)
+def test_a_3mf_that_another_program_wrote_holds_the_same_triangles(
+    run: Run, tmp_path: Path, ours: bytes, theirs: bytes
+) -> None:
+    with ZipFile(run.folder / "lens.3mf") as archive, ZipFile(tmp_path / "lens.3mf", "w") as other:
+        for name in archive.namelist():
+            other.writestr(name, archive.read(name).replace(ours, theirs))
+    own, foreign = (read_mesh_file(folder / "lens.3mf").triangles for folder in (run.folder, tmp_path))
+    np.testing.assert_array_equal(own, foreign)
+
+
+def test_every_format_is_recognised_as_the_lens_that_was_finished(run: Run) -> None:
+    solid, moved = run.result.solid, run.result.solid.vertices.copy()
+    moved[7, 2] += 1e-4
+    for suffix in ("stl", "ply", "3mf"):
+        file = read_mesh_file(run.folder / f"lens.{suffix}")
+        assert file.same_as(solid)
+        assert not file.same_as(replace(solid, vertices=moved))
+
+
 def test_a_run_ends_with_its_preflight(run: Run) -> None:
     facts = json.loads((run.folder / "preflight.json").read_text())
     assert facts["machine"] == "a PolyJet printer, 600 x 300 dpi, layers of 27 micrometres"
@@ -124,9 +147,7 @@ def test_a_run_states_what_the_machine_costs(run: Run) -> None:
         (None, None, "grey", "as designed: not checked"),
     ],
 )
-def test_what_counts_is_the_picture_as_made(
-    made: float | None, designed: float | None, status: str, word: str
-) -> None:
+def test_what_counts_is_the_picture_as_made(made: float | None, designed: float | None, status: str, word: str) -> None:
     verdict = Verdict(made, designed)
     metrics = {} if made is None else {"as_made_psnr_db": 20.0, "fabrication_loss_db": 2.0}
     finding = check_as_made(metrics, verdict)

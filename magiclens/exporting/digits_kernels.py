@@ -1,4 +1,4 @@
-"""Kernels that write integers as decimal text."""
+"""Kernels that write integers as decimal text, and read it."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from magiclens.kernels.compiler import njit
 
 _MINUS, _POINT, _ZERO = 45, 46, 48
 """ASCII codes."""
+_EXACT = 1 << 53
+"""Up to this integer, and divided by 10**22 at most, a number is the float64 that is closest to its text."""
 
 
 @njit(cache=True)
@@ -54,3 +56,55 @@ def _number(value, decimals, out, at):
         out[k] = _ZERO + value % 10
         value //= 10
     return end
+
+
+@njit(cache=True)
+def read_rows(text, glue, ends, out):
+    """Read rows of numbers that have the same text around them; returns whether the text holds them and nothing else.
+
+    Args:
+        text: uint8, what ``write_rows`` writes.
+        glue: uint8, see ``write_rows``.
+        ends: (K + 1,), see ``write_rows``.
+        out: (rows, K) float64, the numbers.
+    """
+    at = 0
+    for row in range(len(out)):
+        start = 0
+        for column in range(out.shape[1] + 1):
+            if at + ends[column] - start > len(text):
+                return False
+            for k in range(start, ends[column]):
+                if text[at] != glue[k]:
+                    return False
+                at += 1
+            start = ends[column]
+            if column < out.shape[1]:
+                at, number = _read_number(text, at)
+                if at < 0:
+                    return False
+                out[row, column] = number
+    return at == len(text)
+
+
+@njit(cache=True)
+def _read_number(text, at):
+    """Where a number without exponent ends, and its value; -1 and 0 if there is none, or none that is exact."""
+    negative = at < len(text) and text[at] == _MINUS
+    at += 1 if negative else 0
+    value, digits, divisor, point = 0, 0, 1.0, False
+    while at < len(text):
+        code = text[at]
+        if code == _POINT and not point:
+            point = True
+        elif _ZERO <= code <= _ZERO + 9:
+            value, digits = value * 10 + (code - _ZERO), digits + 1
+            divisor *= 10.0 if point else 1.0
+            if value > _EXACT or digits > 22:
+                return -1, 0.0
+        else:
+            break
+        at += 1
+    if digits == 0:
+        return -1, 0.0
+    return at, (-value if negative else value) / divisor

@@ -13,6 +13,8 @@ from magiclens.contract.artifacts import Scene, Solid
 from magiclens.contract.stages import Exporter
 from magiclens.exporting.archive import entry
 
+MODEL = "3D/3dmodel.model"
+"""Where the package has its mesh."""
 _NANOMETRE = 6
 """Number of decimals of coordinates in mm, so that they are exact to the nanometre."""
 _CHUNK = 1 << 16
@@ -49,8 +51,9 @@ _TAIL = """</triangles>
 </build>
 </model>
 """
-_VERTEX = (b'<vertex x="', b'" y="', b'" z="', b'"/>\n')
-_TRIANGLE = (b'<triangle v1="', b'" v2="', b'" v3="', b'"/>\n')
+VERTEX = (b'<vertex x="', b'" y="', b'" z="', b'"/>\n')
+TRIANGLE = (b'<triangle v1="', b'" v2="', b'" v3="', b'"/>\n')
+"""What is written around the numbers of each vertex and triangle."""
 
 
 class ThreeMf(Exporter):
@@ -69,7 +72,7 @@ class ThreeMf(Exporter):
         with ZipFile(path, "w") as archive:
             archive.writestr(entry("[Content_Types].xml"), _TYPES)
             archive.writestr(entry("_rels/.rels"), _RELATIONS)
-            with archive.open(entry("3D/3dmodel.model"), "w", force_zip64=large) as model:
+            with archive.open(entry(MODEL), "w", force_zip64=large) as model:
                 for part in _model(scene, solid):
                     model.write(part)
 
@@ -81,10 +84,10 @@ def _model(scene: Scene, solid: Solid) -> Iterator[bytes]:
     yield _HEAD.format(size=scene.lens.size_mm, ior=scene.lens.ior).encode()
     for k in range(0, len(solid.vertices), _CHUNK):
         counts = np.rint(solid.vertices[k : k + _CHUNK] * 10**_NANOMETRE).astype(np.int64)
-        yield text_rows(counts, _VERTEX, _NANOMETRE)
+        yield text_rows(counts, VERTEX, _NANOMETRE)
     yield b"</vertices>\n<triangles>\n"
     for k in range(0, len(solid.faces), _CHUNK):
-        yield text_rows(solid.faces[k : k + _CHUNK].astype(np.int64), _TRIANGLE)
+        yield text_rows(solid.faces[k : k + _CHUNK].astype(np.int64), TRIANGLE)
     # + 0.0 turns -0.0 into 0.0, which is written without a sign
     moved = (f"{-low + 0.0:.6f}" for low in solid.vertices.min(axis=0))
     yield _TAIL.format(" ".join(moved)).encode()
