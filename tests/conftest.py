@@ -76,7 +76,8 @@ def browser() -> Iterator[Browser]:
 def lenses(tmp_path_factory: pytest.TempPathFactory, pytestconfig: pytest.Config) -> Lenses:
     """Small lenses, each designed once for all processes of the session; ``--cache-clear`` forgets earlier sessions."""
     own = tmp_path_factory.getbasetemp()
-    kept = Cache(pytestconfig.cache.mkdir(f"lenses-{RECIPES}"), CACHE_BYTES) if pytestconfig.cache else None
+    cache = getattr(pytestconfig, "cache", None)  # there is none with "-p no:cacheprovider"
+    kept = Cache(cache.mkdir(f"lenses-{RECIPES}"), CACHE_BYTES) if cache else None
     return Lenses((own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "lenses", kept)
 
 

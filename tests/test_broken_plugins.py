@@ -103,6 +103,12 @@ def mlens(site: Path, tmp_path: Path) -> Mlens:
     return call
 
 
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """The environment of runs that take the sound stages' results from one another."""
+    return {"MLENS_CACHE_SIZE": "100MB", "MLENS_CACHE_DIR": str(tmp_path_factory.mktemp("kept"))}
+
+
 def artifacts(folder: Path) -> dict[str, str]:
     listed: list[dict[str, Any]] = json.loads((folder / "manifest.json").read_text())["artifacts"]
     return {file["path"]: file["sha256"] for file in listed}
@@ -169,9 +175,9 @@ def test_the_listing_names_each_with_its_version_and_the_reason(mlens: Mlens) ->
     ],
 )  # fmt: skip
 def test_a_run_that_uses_one_ends_with_1_and_names_it(
-    override: str, message: str, mlens: Mlens, tmp_path: Path
+    override: str, message: str, mlens: Mlens, tmp_path: Path, kept: dict[str, str]
 ) -> None:
-    done = mlens("run", "tiny.yaml", "--out", "c", "--set", override, "--quiet")
+    done = mlens("run", "tiny.yaml", "--out", "c", "--set", override, "--quiet", **kept)
     assert done.returncode == 1
     assert done.stderr.splitlines()[-1] == f"error: {message}"
     assert done.stdout == ""
@@ -198,8 +204,8 @@ def test_standard_output_stays_clean(arguments: list[str], mlens: Mlens) -> None
     assert wanted <= set(done.stderr.splitlines())
 
 
-def test_what_a_stage_prints_is_named_too(mlens: Mlens, tmp_path: Path) -> None:
-    done = mlens("run", "tiny.yaml", "--out", "d", "--set", "pipeline.exporters=[{type: printer}]")
+def test_what_a_stage_prints_is_named_too(mlens: Mlens, tmp_path: Path, kept: dict[str, str]) -> None:
+    done = mlens("run", "tiny.yaml", "--out", "d", "--set", "pipeline.exporters=[{type: printer}]", **kept)
     assert done.returncode == 0
     assert "garbage" not in done.stdout
     who = f"exporter printer ({versioned('prints-garbage')})"
@@ -207,6 +213,7 @@ def test_what_a_stage_prints_is_named_too(mlens: Mlens, tmp_path: Path) -> None:
     assert (tmp_path / "d" / "lens.printer").read_text() == "x"
 
 
+@pytest.mark.tools
 def test_a_plugin_that_hangs_is_named_and_can_be_disabled(tmp_path: Path) -> None:
     install(tmp_path, "hangs", "import time; time.sleep(600)")
     env = {**os.environ, "PYTHONPATH": str(tmp_path)}

@@ -345,6 +345,7 @@ def test_codesign_refines_the_same_lens_further_where_the_integrator_can(
     assert count(f"integrator {integrator}") == designs + 3  # built, and refined for the source and both edits of it
 
 
+@pytest.mark.tools
 @pytest.mark.usefixtures("traced", "falling")
 def test_killed_after_any_step_a_run_goes_on_there_and_ends_with_the_same_bytes(
     run: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path

@@ -188,6 +188,7 @@ def outcome() -> dict[str, set[str]]:
     return failed
 
 
+@pytest.mark.tools
 @pytest.mark.parametrize("broken", EXPECTED)
 def test_the_contract_fails_for_a_stage_that_breaks_it(broken: str, outcome: dict[str, set[str]]) -> None:
     assert EXPECTED[broken] in outcome[broken]

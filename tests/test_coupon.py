@@ -95,6 +95,7 @@ def test_markers_are_where_they_are_said_to_be() -> None:
         assert sheet[rows[0] - 1, columns[0] : columns[1]].min() == 1
 
 
+@pytest.mark.tools
 def test_a_photograph_by_the_built_in_tracer_is_understood(tmp_path: Path) -> None:
     """At small size, and begun near the truth, so that it is quick; the whole way is gone in the tools tier."""
     truth = Truth(0.08, 0.45, 1.52, eye=(40.0, -60.0, 230.0))

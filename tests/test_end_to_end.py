@@ -84,7 +84,7 @@ def test_the_run_folders_own_spec_gives_the_same_bytes_again(rotating: Run, lens
             assert path.read_bytes() == (again / path.relative_to(rotating.folder)).read_bytes(), path.name
 
 
-@pytest.mark.parametrize("cells", ["eye", "vertical"])
+@pytest.mark.parametrize("cells", ["eye", pytest.param("vertical", marks=pytest.mark.tools)])
 def test_every_eye_sees_its_own_target_and_no_other(lenses: Lenses, cells: str) -> None:
     run = lenses.shipped("multi-view", *(["lens.cells=vertical"] if cells == "vertical" else []))
     targets = [view.target for view in run.result.scene.views]

@@ -131,6 +131,7 @@ def test_a_plugins_language_is_read_back_and_simulated(plugins: Registry, tmp_pa
     assert TOY_PLUGIN.package in manifest["versions"]
 
 
+@pytest.mark.tools
 def test_a_plugins_own_toolpath_is_simulated(plugins: Registry, tmp_path: Path) -> None:
     report = simulate_milling(run_with("{type: planer, depth: 0.5mm}", plugins, tmp_path), plugins)
     assert report.programs == ("lens.npy",)

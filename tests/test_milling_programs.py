@@ -296,6 +296,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     return run_spec(folder / "small.yaml", folder / "out")
 
 
+@pytest.mark.tools
 def test_a_run_folders_programs_are_run_and_their_lens_is_looked_through(run: Run) -> None:
     done = CliRunner().invoke(app, ["machined", str(run.folder)])
     assert done.exit_code == 0, done.output
@@ -317,6 +318,7 @@ def test_a_run_folders_programs_are_run_and_their_lens_is_looked_through(run: Ru
     assert np.abs(pictures["single"] - pictures["single-polished"]).mean() > 0.01
 
 
+@pytest.mark.tools
 def test_pictures_of_the_machined_lens_are_listed_in_the_manifest(run: Run, tmp_path: Path) -> None:
     folder = shutil.copytree(run.folder, tmp_path / "copy", ignore=shutil.ignore_patterns("machined"))
     simulate_milling(folder)
@@ -326,6 +328,7 @@ def test_pictures_of_the_machined_lens_are_listed_in_the_manifest(run: Run, tmp_
     assert set(listed) == {str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()} - {"manifest.json"}
 
 
+@pytest.mark.tools
 def test_pictures_of_the_machined_lens_appear_together_or_not_at_all(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -360,5 +363,3 @@ def test_a_folder_without_programs_says_what_to_do(run: Run, tmp_path: Path) -> 
 
 def test_programs_count_as_files_of_the_run(run: Run) -> None:
     assert {"lens.ngc", "lens.ngc.txt"} <= {artifact["path"] for artifact in run.manifest["artifacts"]}
-
-

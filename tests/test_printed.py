@@ -121,6 +121,7 @@ def test_a_flat_print_shows_the_source_as_the_design_does() -> None:
     assert np.abs(made.pictures[0][inner, inner] - wanted).max() < 0.02
 
 
+@pytest.mark.tools
 def test_a_rough_surface_blurs_what_is_seen() -> None:
     lens = Lens(size_mm=10, source_size_mm=10, facets=3, microfacets=4, thickness_mm=8, wall_mm=0.002)
     smooth, rough = (

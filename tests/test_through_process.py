@@ -161,6 +161,7 @@ class TestRefinement:
         assert told == sorted(told)
         assert 0 <= told[0] <= told[-1] <= 1
 
+    @pytest.mark.tools
     def test_the_integrator_uses_it_for_vertical_cells_alone(self) -> None:
         scene, start = a_scene(), a_surface()
         options = {"process": {"spread": "0.1mm"}, "refinement": 1}

@@ -190,6 +190,7 @@ def test_figures_show_both_lenses_from_displaced_eyes() -> None:
     assert tile.caption == "worst within the inner cone: 17.3 dB for 7 eyes, 14.3 dB for the middle eye"
 
 
+@pytest.mark.tools
 @pytest.mark.usefixtures("coarse")
 def test_a_run_reports_the_zone_and_leaves_the_lens_alone(lenses: Lenses, tmp_path: Path) -> None:
     without = lenses.shipped("stable-zone")
