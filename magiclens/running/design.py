@@ -92,12 +92,12 @@ class Designer:
 
     def transports(self, solid: Kept[Solid]) -> Kept[list[Transport]]:
         """One matrix per view, of the lens as it is made; none if the plan has no encoder, which alone needs them."""
+        if self._plan.encoder is None:
+            return self._steps.known([])
         from magiclens.rendering.transports import transports
         from magiclens.simulation.as_made import body_of
 
         making = self._plan.fabrication
-        if self._plan.encoder is None:
-            return self._steps.known([])
         if making is None:
             return self._steps.derived("tracing", transports, scene=self._given, solid=solid)
         trace = lambda scene, solid, machine: transports(scene, body_of(solid, making.machine))  # noqa: E731
