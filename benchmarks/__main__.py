@@ -1,11 +1,12 @@
 """Times magiclens next to what one would use instead, and prints one table of ratios.
 
     pip install -e '.[bench]'
-    python -m benchmarks [TOPIC ...] [--quick] [--repeats 5] [--write]
+    python -m benchmarks [TOPIC ...] [--quick] [--repeats 5] [--write | --keep | --check]
 
 Everything is timed in this process, on the same data, in turns, and a ratio is printed only if the results agree.
-``--write`` also writes the table to ``docs/reference/performance.md``. Whole runs are compared with an older commit of
-this repository: ``python -m benchmarks whole-run --against COMMIT``.
+``--write`` also writes the table to ``docs/reference/performance.md``; ``--keep`` adds the ratios to
+``benchmarks/history.csv``, and ``--check`` fails if one is much smaller than when it was kept last. Whole runs are
+compared with an older commit of this repository: ``python -m benchmarks whole-run --against COMMIT``.
 """
 
 from __future__ import annotations
@@ -14,10 +15,13 @@ import argparse
 import importlib
 import os
 import platform
+import subprocess
+import sys
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from benchmarks.comparison import Comparison, Ratio, measure, table
+from benchmarks.history import keep, losses
 
 TOPICS = ("tracing", "matching", "annealing", "integration", "refinement", "whole-run")
 PAGE = Path(__file__).parents[1] / "docs" / "reference" / "performance.md"
@@ -58,6 +62,8 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3, help="timings of which the median counts")
     parser.add_argument("--against", metavar="COMMIT", help="the older commit with which whole runs are compared")
     parser.add_argument("--write", action="store_true", help="write the table to docs/reference/performance.md, too")
+    parser.add_argument("--keep", action="store_true", help="add the ratios to benchmarks/history.csv")
+    parser.add_argument("--check", action="store_true", help="fail if a ratio is much smaller than in that file")
     options = parser.parse_args()
     unknown = set(options.topics) - set(TOPICS)
     if unknown:
@@ -74,6 +80,11 @@ def main() -> None:
     print(f"\n{text}\n{surroundings()}")
     if options.write:
         write(f"\n{text}\n{surroundings()}\n\n")
+    if options.keep:
+        describe = ["git", "describe", "--always", "--dirty"]
+        keep(ratios, subprocess.check_output(describe, cwd=PAGE.parent, text=True).strip())
+    if options.check and (lost := losses(ratios)):
+        sys.exit("\n".join(["slower than others by more than before:", *lost]))
 
 
 if __name__ == "__main__":

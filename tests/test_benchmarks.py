@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -53,6 +54,22 @@ def test_nothing_is_timed_where_results_differ(comparison: ModuleType) -> None:
     )  # fmt: skip
     with pytest.raises(comparison.Disagreement, match="results differ: sums"):
         comparison.measure(case, 1)
+
+
+def test_a_ratio_that_fell_since_it_was_kept_is_a_loss(
+    comparison: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    history, path = module("history", monkeypatch), tmp_path / "history.csv"
+
+    def ratio(times: float, task: str = "task") -> Any:
+        return comparison.Ratio("topic", task, "peer", 1.0, times, "equal")
+
+    history.keep([ratio(9.0)], "early", path)
+    history.keep([ratio(4.0), ratio(2.0, "other")], "late", path)
+    assert history.losses([ratio(3.2), ratio(7.0, "other")], path) == []
+    assert history.losses([ratio(3.0), ratio(2.0, "other")], path) == ["topic, task, peer: 3, but 4 at late"]
+    with pytest.raises(LookupError, match="no ratio of topic, new, peer"):
+        history.losses([ratio(3.0, "new")], path)
 
 
 def test_the_page_keeps_all_but_its_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+import os
 import platform
 import re
 import sys
@@ -14,7 +15,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-_MADE_BY_RUNNING = frozenset({".pyc", ".pyo", ".nbi", ".nbc"})
+_MADE_BY_RUNNING = (".pyc", ".pyo", ".nbi", ".nbc")
 """Endings of files that Python and numba write beside sources."""
 _OF_ALL = frozenset({"builtins", "abc", "typing", "functools", "pydantic", "pydantic_core", "enum", "collections"})
 """Packages of bases that every class has; a change of Python or pydantic is seen by their versions."""
@@ -111,20 +112,23 @@ def _hash(path: Path) -> str:
     """Hash of a file, or of all files in a folder with their names."""
     _hashed[path] = _state(path)
     found = hashlib.sha256()
-    for file in _sources(path):
+    for file in map(Path, _sources(path)):
         found.update(f"{file.relative_to(path).as_posix()}\0{file.stat().st_size}\0".encode() + file.read_bytes())
     return found.hexdigest()[:32]
 
 
 def _state(path: Path) -> str:
     """Names, sizes and times of the files of ``_hash``, which are found more quickly than their content."""
-    return str([(str(file), file.stat().st_size, file.stat().st_mtime_ns) for file in _sources(path)])
+    stats = ((file, os.stat(file)) for file in _sources(path))
+    return str([(file, stat.st_size, stat.st_mtime_ns) for file, stat in stats])
 
 
-def _sources(path: Path) -> list[Path]:
+def _sources(path: Path) -> list[str]:
     """A file, or all files in a folder but those that Python and numba write."""
-    files = [path] if path.is_file() else sorted(file for file in path.rglob("*") if file.is_file())
-    return [file for file in files if file.suffix not in _MADE_BY_RUNNING]
+    # by ``os``: this is asked for every result that is kept, and ``pathlib`` takes four times as long
+    inside = sorted(os.path.join(folder, name) for folder, _, names in os.walk(path) for name in names)
+    files = [str(path)] if path.is_file() else inside
+    return [file for file in files if not file.endswith(_MADE_BY_RUNNING) and os.path.isfile(file)]
 
 
 def _version(distribution: str) -> str | None:
