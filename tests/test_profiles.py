@@ -11,13 +11,14 @@ from jsonschema import Draft7Validator
 from pydantic import ValidationError
 from ruamel.yaml import YAML
 
+from magiclens.config.fabrication import listed_machine
 from magiclens.config.schema import json_schema
 from magiclens.contract.errors import InputError
 from magiclens.contract.stages import KINDS
 from magiclens.plan.compile import Plan, load_plan
 from magiclens.plan.describe import describe_plan
 from magiclens.plan.registry import NAMED_ART, SCENARIO, STAGE, Registry
-from magiclens.profiles.machines import Machine, Mill, Printer, machines
+from magiclens.profiles.machines import Machine, Mill, Printer, machines, refused_machines
 from magiclens.profiles.materials import Material, materials
 
 SPEC = """\
@@ -100,7 +101,11 @@ def test_what_a_scenario_needs_comes_before_what_suits_a_machine(load: Loader) -
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("lens.thickness=35mm", "lens.thickness: a relief of 9.9mm makes it 44.9mm high; milling makes at most 40mm"),
+        (
+            "lens.thickness=35mm",
+            "lens.thickness: a relief of 9.9mm makes it 44.9mm high; milling makes at most 40mm, "
+            "so at most 30.1mm here",
+        ),
         ("lens.thickness=12mm", "lens.thickness: at its thinnest the lens would be 2.1mm; milling needs at least 10mm"),
         ("lens.max_slope=50deg", "lens.max_slope: milling can do 45deg at most, got 50deg"),
         ("lens.wall=1um", "lens.wall: milling can do 0.03mm at least, got 0.001mm"),
@@ -120,6 +125,35 @@ def test_what_a_scenario_needs_comes_before_what_suits_a_machine(load: Loader) -
 def test_what_a_machine_cannot_do_is_named_with_its_limit(override: str, message: str, load: Loader) -> None:
     with pytest.raises(InputError, match=re.escape(f"--set {override}: {message}")):
         load(override)
+
+
+@pytest.mark.parametrize(
+    "lens",
+    [
+        "{thickness: 30mm, relief: 10mm}",
+        "{thickness: 15mm, relief: 5mm}",
+        "{max_slope: 45deg, wall: 0.03mm}",
+        "{size: 30mm, facets: 15}",
+        "{size: 200mm, facets: 32}",
+    ],
+)
+def test_what_a_machine_can_just_do_is_allowed(lens: str, load: Loader) -> None:
+    """The mill makes 10 to 40 mm, slopes of 45 degrees, facets of 2 mm on a bed of 200 mm; its cutter reaches 20 mm."""
+    load(f"lens={lens}")
+
+
+def test_a_lens_fits_on_the_bed_whatever_the_height_of_the_machine(load: Loader) -> None:
+    load("lens={size: 100mm, facets: 8}", "fabrication.bed=[120mm, 110mm, 50mm]")
+    with pytest.raises(InputError, match=r"lens\.size: milling can do 110mm at most, got 115mm"):
+        load("lens={size: 115mm, facets: 8}", "fabrication.bed=[120mm, 110mm, 300mm]")
+
+
+def test_a_machine_that_a_command_names_is_found_or_named() -> None:
+    assert listed_machine("milling", "--machine") is machines()["milling"]
+    with pytest.raises(InputError, match=r"--machine: unknown machine 'miling'; did you mean 'milling'\?"):
+        listed_machine("miling", "--machine")
+    with pytest.raises(InputError, match=r"--machine: (?!unknown)"):
+        listed_machine(next(iter(refused_machines())), "--machine")
 
 
 def test_a_cutter_that_is_short_or_blunt_makes_a_flatter_lens(load: Loader) -> None:

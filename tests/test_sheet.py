@@ -16,7 +16,7 @@ from magiclens.contract.artifacts import FloatArray, Lens, Scene, View
 from magiclens.contract.errors import InputError
 from magiclens.contract.stages import Exporter
 from magiclens.exporting.monitor import Monitor
-from magiclens.exporting.print_page import listed
+from magiclens.exporting.print_page import listed, pages, write_pages
 from magiclens.exporting.print_sheet import PAPERS, PrintSheet
 from magiclens.images.colour import to_display
 from magiclens.plan.compile import load_plan
@@ -117,6 +117,120 @@ def test_marks_go_on_where_the_outline_s_sides_would(ink: Ink) -> None:
     marks = (np.array([group.mean() for group in groups(np.flatnonzero(above > 200))]) + 0.5) / PER_MM
     beside_the_ruler = marks[marks > left - 3]
     assert beside_the_ruler == pytest.approx([left, right], abs=CLOSE_MM)
+
+
+Drawn = tuple[str, FloatArray]
+
+
+def drawn_on(path: Path) -> list[Drawn]:
+    """Everything on the first page: what it is, and left, bottom, right, top in mm, the source's middle at (0, 0)."""
+    kinds = {1: "text", 2: "path", 3: "image"}
+    with pypdfium2.PdfDocument(path) as pdf:
+        found = [(kinds[o.type], np.array(o.get_bounds()) / 72 * 25.4) for o in pdf[0].get_objects()]
+    (image,) = (box for kind, box in found if kind == "image")
+    return [(kind, box - np.tile(image[:2] + image[2:], 2) / 2) for kind, box in found]
+
+
+def sizes(boxes: FloatArray) -> FloatArray:
+    """(n, 2) width and height of boxes (n, 4)."""
+    return boxes[:, 2:] - boxes[:, :2]
+
+
+def paths_of(drawn: list[Drawn], width: float, height: float) -> FloatArray:
+    """(n, 4) lines and shapes of a size, a stroke's width more or less, from left to right and upward."""
+    paths = np.array([box for kind, box in drawn if kind == "path"])
+    near = paths[(abs(sizes(paths) - (width, height)) < 3 * STROKE_MM).all(axis=1)]
+    return near[np.lexsort(near[:, :2].round(1).T[::-1])]
+
+
+@pytest.fixture(scope="module")
+def drawn(sheet: Path) -> list[Drawn]:
+    return drawn_on(sheet)
+
+
+def test_rulers_have_a_mark_at_every_millimetre_longer_ones_at_five_and_ten(drawn: list[Drawn]) -> None:
+    (level,), (upright,) = paths_of(drawn, 100, 0), paths_of(drawn, 0, 100)
+    assert (level[[0, 2]].sum(), upright[[1, 3]].sum()) == pytest.approx((0, 0), abs=CLOSE_MM), "beside the middle"
+    for k in range(101):
+        length = 3.0 if k % 10 == 0 else 2.0 if k % 5 == 0 else 1.2
+        below, beside = paths_of(drawn, 0, length), paths_of(drawn, length, 0)
+        marks = below[abs(below[:, [0, 2]].mean(axis=1) - (k - 50)) < 0.2]
+        assert (abs(marks[:, 3] - level[3]) < STROKE_MM).any(), "it hangs from the level ruler"
+        marks = beside[abs(beside[:, [1, 3]].mean(axis=1) - (50 - k)) < 0.2]
+        assert (abs(marks[:, 2] - upright[2]) < STROKE_MM).any(), "it goes on to the left of the upright one"
+
+
+def places_of(path: Path, word: str) -> list[tuple[float, float]]:
+    """mm from the page's lower left corner: the middle of a word's first letter, wherever it stands."""
+    with pypdfium2.PdfDocument(path) as pdf:
+        text = pdf[0].get_textpage()
+        search, found = text.search(word, match_whole_word=True), []
+        while hit := search.get_next():
+            left, bottom, right, top = text.get_charbox(hit[0])
+            found.append(((left + right) / 144 * 25.4, (bottom + top) / 144 * 25.4))
+    return found
+
+
+def test_numbers_stand_at_the_marks_of_ten_millimetres(sheet: Path) -> None:
+    numbers = [places_of(sheet, str(number)) for number in (20, 30, 70, 80, 90)]
+    level = [min(places, key=lambda place: place[1]) for places in numbers]
+    upright = [min(places, key=lambda place: place[0]) for places in numbers]
+    assert np.diff([x for x, _ in level]) == pytest.approx([10, 40, 10, 10], abs=0.2)
+    assert np.diff([y for _, y in upright]) == pytest.approx([-10, -40, -10, -10], abs=0.2)
+
+
+def test_marks_begin_2_mm_beside_all_pictures_and_are_6_mm_long(drawn: list[Drawn]) -> None:
+    half, line = BOTTOM_MM / 2, STROKE_MM / 2
+    for upright in (paths_of(drawn, 0, 6), paths_of(drawn, 6, 0)[:, [1, 0, 3, 2]]):
+        middles = (upright[:, :2] + upright[:, 2:]) / 2
+        corners = {(x, y) for x in (-half - line, half + line) for y in (-half - 5, half + 5)}
+        assert len(upright) == 4
+        for corner in corners:
+            assert abs(middles - corner).max(axis=1).min() < CLOSE_MM
+
+
+def test_arrows_point_away_from_the_middle_of_each_side(drawn: list[Drawn]) -> None:
+    half = BOTTOM_MM / 2 + 2
+    up_and_down, left_and_right = paths_of(drawn, 3, 2.2), paths_of(drawn, 2.2, 3)
+    assert up_and_down[:, [0, 2]] == pytest.approx(np.array([[-1.5, 1.5]] * 2), abs=CLOSE_MM)
+    assert sorted(up_and_down[:, 1]) == pytest.approx([-half - 2.2, half], abs=CLOSE_MM)
+    assert left_and_right[:, [1, 3]] == pytest.approx(np.array([[-1.5, 1.5]] * 2), abs=CLOSE_MM)
+    assert sorted(left_and_right[:, 0]) == pytest.approx([-half - 2.2, half], abs=CLOSE_MM)
+
+
+LONG = "a view whose name is much too long for the room beside the lens, so that it must be small"
+
+
+@pytest.mark.parametrize(
+    ("source", "bottom", "names"),
+    [
+        (60.0, (-30, -30, 30, 30), "short"),
+        (60.0, (-30, -30, 50, 30), "short"),
+        (60.0, (-50, -30, 30, 45), LONG),
+        (140.0, (-30, -30, 30, 30), LONG),
+        (140.0, (-60, -80, 60, 75), "short"),
+    ],
+)
+def test_the_smallest_paper_has_room_for_everything_and_nothing_is_printed_over_text(
+    source: float, bottom: tuple[float, float, float, float], names: str, tmp_path: Path
+) -> None:
+    left, low, right, top = bottom
+    lens = replace(LENS, source_size_mm=source, gap_mm=5.0)
+    views = [view_of(np.ones((8, 8)), f"{names} {angle}", angle) for angle in (0, 90, 180, 270)]
+    (page,) = pages(scene_of(*views, lens=lens), box((left, low, 0), (right, top, 8)))
+    write_pages([page], page.needs_mm, tmp_path / "sheet.pdf")
+    drawn = drawn_on(tmp_path / "sheet.pdf")
+    with pypdfium2.PdfDocument(tmp_path / "sheet.pdf") as pdf:
+        paper = np.array(pdf[0].get_size()) / 72 * 25.4
+        (image,) = (o for o in pdf[0].get_objects() if o.type == 3)
+        middle = np.array(image.get_bounds()).reshape(2, 2).mean(axis=0) / 72 * 25.4
+    everything = np.array([each for _, each in drawn]) + np.tile(middle, 2)
+    assert (everything[:, :2] > 7.5).all(), "mm of margin, to the left and below"
+    assert (paper - everything[:, 2:] > (5, 7.5)).all(), "and above, and to the right but for a ruler's unit"
+    texts = np.array([each for kind, each in drawn if kind == "text"])
+    for other in [*texts, *(each for kind, each in drawn if kind == "image")]:
+        over = (texts[:, :2] < other[2:] - 0.1).all(axis=1) & (other[:2] + 0.1 < texts[:, 2:]).all(axis=1)
+        assert over.sum() <= (texts == other).all(axis=1).sum(), "only over itself"
 
 
 def test_views_stand_at_the_side_that_the_lens_s_top_points_to(sheet: Path) -> None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from jsonschema import Draft7Validator
 from typer.testing import CliRunner
@@ -17,6 +19,7 @@ from magiclens.config.model import PipelineSpec
 from magiclens.config.schema import json_schema
 from magiclens.contract.errors import InputError
 from magiclens.contract.stages import KINDS
+from magiclens.images.files import write_png
 from magiclens.plan.compile import load_plan
 from magiclens.plan.registry import NAMED_ART, SCENARIO, STAGE, Registry
 from magiclens.profiles.materials import materials
@@ -310,6 +313,59 @@ def test_ior_takes_the_place_of_a_material(write_spec: SpecWriter) -> None:
 
 
 @pytest.mark.parametrize(
+    ("lens", "relief"),
+    [
+        ("{size: 20mm, facets: 4}", 5.0),
+        ("{size: 100mm, facets: 4}", 15.0),
+        ("{size: 200mm, facets: 4}", 20.0),
+        ("{size: 100mm, facets: 4, thickness: 20mm}", 10.0),
+        ("{size: 100mm, facets: 4, relief: 3mm}", 3.0),
+    ],
+)
+def test_wide_facets_have_more_relief_up_to_half_the_thickness(lens: str, relief: float, tmp_path: Path) -> None:
+    path = tmp_path / "a.yaml"
+    path.write_text(f"scenario: {{type: single}}\nlens: {lens}\n")
+    assert load_spec(path).lens.relief == relief
+
+
+def test_a_wall_may_take_half_a_facet_and_a_relief_nearly_the_thickness(write_spec: SpecWriter) -> None:
+    assert load_spec(write_spec(), ["lens.wall=2.5mm"]).lens.wall == 2.5
+    assert load_spec(write_spec(), ["lens.relief=39.99mm"]).lens.relief == 39.99
+    with pytest.raises(InputError, match="less than 40mm"):
+        load_spec(write_spec(), ["lens.relief=40mm"])
+
+
+@pytest.mark.parametrize("wrong", ["facets: 0", "size: 0mm"])
+def test_what_follows_from_a_mistake_is_no_mistake_of_its_own(wrong: str, write_spec: SpecWriter) -> None:
+    given = {"size": "20mm", "facets": "1", "wall": "9mm", **dict([wrong.split(": ")])}
+    lens = "lens={" + ", ".join(f"{key}: {value}" for key, value in given.items()) + "}"
+    with pytest.raises(InputError, match=wrong.split(":")[0]) as raised:
+        load_spec(write_spec(), [lens])
+    assert raised.value.others == ()
+
+
+def test_a_picture_that_is_tiny_is_refused(write_spec: SpecWriter, tmp_path: Path, registry: Registry) -> None:
+    write_png(tmp_path / "dot.png", np.full((1, 1, 1), 0.5, np.float32))
+    with pytest.raises(InputError, match=r"toy\.yaml:4: scenario\.targets.1.image: "):
+        load_plan(write_spec(("{art: bat}", "{image: dot.png}")), registry=registry)
+
+
+def test_what_is_not_in_a_spec_is_none(write_spec: SpecWriter) -> None:
+    document = read_document(write_spec())
+    assert document.get(("scenario", "targets", 1)) == {"art": "bat"}
+    for keys in (("scenario", "targets", 2), ("scenario", "targets", "art"), ("scenario", "type", 0), ("lens", "gap")):
+        assert document.get(keys) is None
+
+
+@pytest.mark.parametrize("text", ["a: 1\n\tb: 2\nc: 3\n", "a:\n\tb: 2\nc: 3\n", "a:\n  - 1\n\t- 2\n  - 3\n"])
+def test_a_tab_before_anything_else_is_named_as_such(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=rf":{text[: text.index(chr(9))].count(chr(10)) + 1}: a tab indents this line"):
+        read_document(path)
+
+
+@pytest.mark.parametrize(
     ("override", "keys", "value"),
     [
         ("lens.facets=64", ("lens", "facets"), 64),
@@ -383,6 +439,37 @@ def test_the_schema_is_draft_7_and_all_its_references_lead_somewhere(schema: dic
 @pytest.mark.parametrize("path", SPECS, ids=lambda p: p.name)
 def test_the_schema_accepts_the_specs_in_the_repository(path: Path, schema: dict[str, Any]) -> None:
     assert list(Draft7Validator(schema).iter_errors(read_document(path).data)) == []
+
+
+@pytest.mark.parametrize(
+    ("facets", "valid"), [(1, True), (1024, True), ("auto", True), (0, False), (1025, False), ("x", False)]
+)
+def test_the_schema_bounds_facets_or_leaves_them_to_the_machine(
+    facets: int | str, valid: bool, schema: dict[str, Any]
+) -> None:
+    good = {"scenario": {"type": "single", "source": {"type": "circles"}, "target": {"art": "panda"}}}
+    assert Draft7Validator(schema).is_valid({**good, "lens": {"facets": facets}}) == valid
+
+
+def test_the_schema_explains_what_a_plugin_fills_in_and_has_no_words_of_openapi(schema: dict[str, Any]) -> None:
+    for key in ("scenario", "fabrication"):
+        assert schema["properties"][key]["description"]
+        assert "additionalProperties" not in schema["properties"][key]
+    pipeline = schema["definitions"]["PipelineSpec"]["properties"]
+    assert pipeline["matcher"]["description"] == "finds candidates for every facet"
+    assert not list(beside(schema, "oneOf", "discriminator"))
+
+
+def beside(node: Any, key: str, other: str) -> Iterator[Any]:
+    """Mappings that have both keys."""
+    if isinstance(node, dict):
+        if key in node and other in node:
+            yield node
+        for value in node.values():
+            yield from beside(value, key, other)
+    if isinstance(node, list):
+        for value in node:
+            yield from beside(value, key, other)
 
 
 def test_the_schema_asks_for_types_where_there_is_no_default(schema: dict[str, Any]) -> None:

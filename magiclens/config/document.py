@@ -88,7 +88,7 @@ class Document:
         return next((o for o in reversed(self.overrides) if at[: len(o.keys)] == o.keys), None)
 
     def _line(self, at: Keys) -> int:
-        return next((self.lines[at[:n]] for n in range(len(at), -1, -1) if at[:n] in self.lines), 1)
+        return next((self.lines[at[:n]] for n in range(len(at), 0, -1) if at[:n] in self.lines), 1)
 
 
 def dotted(at: Keys) -> str:

@@ -96,9 +96,9 @@ class Fabrication:
             fits = max(int(lens.size / machine.feature + 1e-9), 1)
             narrow = f"facets of {LENGTH.text(lens.size / lens.facets)}"
             yield "facets", f"{narrow} are below the {LENGTH.text(machine.feature)} of {self.name}; at most {fits} fit"
-        # the lens is square, and lies on the bed in either direction
-        if lens.size > max(machine.bed[:2]) or lens.size > min(machine.bed[:2]):
-            yield "size", self._beyond(LENGTH.text(min(machine.bed[:2])), LENGTH.text(lens.size), "most")
+        widest = min(machine.bed[:2])  # the lens is square
+        if lens.size > widest:
+            yield "size", self._beyond(LENGTH.text(widest), LENGTH.text(lens.size), "most")
         if isinstance(machine, Mill):
             yield from self._out_of_reach(machine, lens)
 

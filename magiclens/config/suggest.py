@@ -12,7 +12,7 @@ _SIMILARITY = 0.55
 def nearest_choice(word: str, choices: Iterable[str]) -> str | None:
     """The choice that is spelt most like a word; None if none is similar."""
     by_lower = {choice.lower(): choice for choice in choices}
-    found = get_close_matches(word.lower(), by_lower, n=1, cutoff=_SIMILARITY)
+    found = get_close_matches(word.lower(), by_lower, cutoff=_SIMILARITY)
     return by_lower[found[0]] if found else None
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from magiclens.config.document import read_document
-from magiclens.config.yaml_limits import MOST_LEVELS, MOST_SPEC_BYTES
+from magiclens.config.yaml_limits import MOST_DIGITS, MOST_LEVELS, MOST_SPEC_BYTES
 from magiclens.contract.errors import InputError
 
 
@@ -81,3 +81,40 @@ def test_ordinary_values_are_read(value: str, tmp_path: Path) -> None:
     path = tmp_path / "spec.yaml"
     path.write_text(f"first: &first {{a: 1}}\nsecond: *first\nthird:\n  {value}\n", encoding="utf-8")
     assert read_document(path).data["second"] == {"a": 1}
+
+
+def read(text: str, tmp_path: Path) -> object:
+    path = tmp_path / "spec.yaml"
+    path.write_text(text, encoding="utf-8")
+    return read_document(path).data
+
+
+def test_the_limits_themselves_are_allowed(tmp_path: Path) -> None:
+    """One byte, level or digit more is not."""
+    longest = "a: 1\n" + "#" * (MOST_SPEC_BYTES - 5)
+    deepest = "a: " + "[" * (MOST_LEVELS - 1) + "]" * (MOST_LEVELS - 1)
+    number = "a: " + "9" * MOST_DIGITS
+    for text, more in ((longest, "#"), (number, "9")):
+        read(text, tmp_path)
+        with pytest.raises(InputError):
+            read(text + more, tmp_path)
+    read(deepest, tmp_path)
+    with pytest.raises(InputError, match=":1: this is nested too deeply"):
+        read(deepest.replace("[]", "[[]]"), tmp_path)
+
+
+ALIASES = "a: &a {k: [x, x]}\nb: *a\nc: &c 1\nd: *c\n"
+"""The file's mapping, 4 keys, a mapping of 5 (itself, key, list and 2 items) that stands there twice, and 1 twice."""
+
+
+def test_values_count_as_often_as_aliases_repeat_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("magiclens.config.yaml_limits.MOST_VALUES", 17)
+    assert read(ALIASES, tmp_path) == {"a": {"k": ["x", "x"]}, "b": {"k": ["x", "x"]}, "c": 1, "d": 1}
+    monkeypatch.setattr("magiclens.config.yaml_limits.MOST_VALUES", 16)
+    with pytest.raises(InputError, match=":4: here are more than 16 values"):
+        read(ALIASES, tmp_path)
+
+
+@pytest.mark.parametrize("value", ["'9999-99-99'", "'" + "9" * 500 + "'", "! x", "x" * 500])
+def test_text_is_no_number_and_no_date(value: str, tmp_path: Path) -> None:
+    assert read(f"a: {value}", tmp_path) == {"a": value.strip("'! ")}
