@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,9 @@ from magiclens.contract.artifacts import BoolArray, Candidates, IntArray, Lens, 
 from magiclens.contract.errors import InputError
 from magiclens.matching.dart_throwing import DartThrowing, throw_darts
 from magiclens.matching.dart_throwing_kernels import Labels, draw_again
+from magiclens.matching.grain import flat_scale, seen_grain
+from magiclens.optics.eyes import land
+from magiclens.optics.medium import slab_of
 
 LENS = Lens(size_mm=40, source_size_mm=40, facets=6, microfacets=24, thickness_mm=40)
 PAPER = np.ones((120, 120, 1), np.float32)
@@ -85,6 +89,73 @@ def test_reserved_places_are_left_alone() -> None:
     reserved[50:70] = True
     low, high = squares(thrown(0, reserved=reserved))
     assert ((low[:, 1] >= 10 / 3 - 1e-6) | (high[:, 1] <= -10 / 3 + 1e-6)).all()
+
+
+@pytest.mark.parametrize("turn", [0, 1, 2, 3])
+def test_all_that_is_not_reserved_can_be_drawn_beside_the_lens_too(turn: int) -> None:
+    """The source has 8 x 8 places, the lens 6 x 6 facets, and as many places are free, up and to the right."""
+    lens, side = replace(LENS, source_size_mm=160 / 3), 20
+    reserved = np.ones((8 * side, 8 * side), bool)
+    reserved[side : 7 * side, 2 * side :] = False
+    view = View("v", PAPER, PAPER, np.array([0.0, 0.0, 440.0]), 90.0 * turn)
+    darts = DartThrowing(subdivisions=1, reach="25%", guard="0%")
+    found = darts.match(Scene(lens, (view,), reserved), np.random.default_rng(turn))
+    places = (lens.facet_centres_mm() + found.offsets_mm[:, :, 0]).reshape(-1, 2)
+    for _ in range(turn):  # counter-clockwise, with the lens
+        places = np.stack([-places[:, 1], places[:, 0]], axis=-1)
+    columns, rows = np.rint(places / lens.pitch_mm + 3.5).astype(int).T
+    assert {(7 - row, column) for row, column in zip(rows, columns, strict=True)} == {
+        (row, column) for row in range(1, 7) for column in range(2, 8)
+    }
+
+
+def test_a_place_is_reserved_if_any_of_its_pixels_is_in_any_view() -> None:
+    """One pixel in the corner of a place; a view turned by 180 degrees needs the place across, too."""
+    lens, side = replace(LENS, source_size_mm=160 / 3), 20
+    views = tuple(View("v", PAPER, PAPER, np.array([0.0, 0.0, 440.0]), angle) for angle in (0.0, 180.0))
+    darts, drawn = DartThrowing(subdivisions=1, reach="25%", guard="0%"), set()
+    for k, corner in enumerate([(2 * side, side), (3 * side - 1, 2 * side - 1)] * 8):
+        reserved = np.zeros((8 * side, 8 * side), bool)
+        reserved[corner] = True
+        found = darts.match(Scene(lens, views, reserved), np.random.default_rng(k))
+        places = (lens.facet_centres_mm() + found.offsets_mm[:, :, 0]).reshape(-1, 2)
+        drawn |= {tuple(place) for place in np.rint(places * (1, -1) / lens.pitch_mm + 3.5).astype(int).tolist()}
+    assert not drawn & {(1, 2), (6, 5)}
+    assert drawn >= {(1, 1), (1, 3), (2, 2), (0, 2), (6, 4), (6, 6), (5, 5), (7, 5)}
+
+
+@pytest.mark.parametrize(("subdivisions", "reach", "farthest"), [(1, 1.0, 1.0), (2, 0.75, 0.75), (3, 0.7, 2 / 3)])
+def test_what_lies_just_within_reach_is_drawn_too(subdivisions: int, reach: float, farthest: float) -> None:
+    """In facets: centres of their thirds lie 0, 1/3, 2/3 and so on away."""
+    options = {"reach": f"{reach * LENS.pitch_mm:.9f}mm", "subdivisions": subdivisions, "guard": "0%"}
+    found = [thrown(seed, options).offsets_mm / LENS.pitch_mm for seed in range(3)]
+    for axis in range(2):
+        assert np.max([o[..., axis] for o in found]) == pytest.approx(farthest, abs=1e-5)
+        assert np.min([o[..., axis] for o in found]) == pytest.approx(-farthest, abs=1e-5)
+
+
+@pytest.mark.parametrize("guard", [0.0, 0.1])
+def test_a_facet_sees_its_place_up_to_the_guard(guard: float) -> None:
+    """The middles of its outer micro-facets move by the map, and each shows a patch, a little larger than itself."""
+    found, cell = thrown(0, {"guard": f"{guard:.0%}"}), LENS.pitch_mm / LENS.microfacets
+    flat = 1 + LENS.thickness_mm / LENS.ior / 400
+    seen = abs(found.maps[..., [0, 2]]) * (LENS.pitch_mm - cell) + flat * cell
+    np.testing.assert_allclose(seen, LENS.pitch_mm / 2 * (1 - 2 * guard), rtol=1e-6)
+    assert (found.maps[..., 1] == 0).all()
+
+
+def test_a_place_that_is_too_small_for_a_micro_facet_is_an_input_error() -> None:
+    with pytest.raises(InputError, match=r"a micro-facet sees 0.296 mm of the source, more than .* of 0.833 mm"):
+        thrown(0, {"subdivisions": 8, "guard": "33%"})
+
+
+@pytest.mark.parametrize("lens", [LENS, replace(LENS, gap_mm=20.0)])
+def test_a_flat_facet_shows_as_much_as_refraction_says(lens: Lens) -> None:
+    eye, up = (0.0, 0.0, 440.0), (0.0, 0.0, 1.0)
+    x, _, _ = land(eye, (0.1, 0.0, 40.0), up, slab_of(lens))
+    assert flat_scale(scene(lens)) == pytest.approx(x / 0.1, rel=1e-5)
+    assert seen_grain(scene(lens)) > flat_scale(scene(lens)) * lens.pitch_mm / lens.microfacets
+    assert seen_grain(scene(replace(lens, microfacets=12))) == pytest.approx(2 * seen_grain(scene(lens)))
 
 
 def test_too_much_reserved_is_an_input_error() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from scipy.sparse import csr_array, eye_array, hstack
 
 from magiclens.analysis.leaks import leaks
 from magiclens.contract.artifacts import BoolArray, FloatArray, Scene, Transport, View
-from magiclens.encoding.least_squares import LeastSquaresEncoder, _exposure, _SourceMatrix
+from magiclens.encoding.least_squares import LeastSquaresEncoder, _exposure, _SourceMatrix, _steepness
 from magiclens.images import to_display
 from test_darts import LENS
 
@@ -164,6 +165,7 @@ def test_pictures_are_as_bright_as_three_quarters_of_the_lit_pixels_can_be(rng: 
     assert _exposure(None, through) == pytest.approx(0.4)
     assert _exposure(None, through[::-1][:90]) == pytest.approx(0.8)
     assert _exposure(0.3, through) == 0.3
+    assert _exposure(None, np.zeros((5, 1))) == 1.0, "nothing is lit"
 
 
 def test_pixels_are_pulled_to_what_was_given_only_as_far_as_they_matter_little(rng: np.random.Generator) -> None:
@@ -182,6 +184,58 @@ def test_pixels_are_pulled_to_what_was_given_only_as_far_as_they_matter_little(r
     assert little < 0.01
     assert none < 0.01
     assert nothing < 0.01
+
+
+def test_errors_of_light_are_weighted_by_the_slope_of_the_display_curve() -> None:
+    """Down to where the curve would be too steep."""
+    light = np.linspace(0.021, 0.99, 50)
+    slope = (to_display(light + 1e-3) - to_display(light - 1e-3)) / 2e-3
+    np.testing.assert_allclose(_steepness(light), slope, rtol=2e-3)
+    np.testing.assert_array_equal(_steepness(np.array([0.0, 0.01])), _steepness(np.array([0.02, 0.02])))
+
+
+def nesterov(a: FloatArray, want: FloatArray, given: FloatArray, pull: float, steps: int) -> FloatArray:
+    """The documented method with dense arrays in double precision; it is not started anew."""
+    weight = _steepness(want).astype(float) ** 2
+    curvature = a.T @ (weight * a.sum(axis=1, keepdims=True))
+    pull = pull * float(np.median(curvature))
+    x = y = given
+    t = 1.0
+    for _ in range(steps):
+        slope = a.T @ (weight * (a @ y - want)) + pull * (y - given)
+        before, x = x, np.clip(y - slope / (curvature + pull), 0, 1)
+        t, earlier = (1 + np.sqrt(1 + 4 * t * t)) / 2, t
+        y = x + (earlier - 1) / t * (x - before)
+    return x
+
+
+@pytest.mark.parametrize("steps", [1, 2, 3, 5])
+def test_the_first_steps_of_the_solver_are_nesterovs(steps: int, rng: np.random.Generator) -> None:
+    rows = 4 * SIDE * SIDE
+    blur = csr_array(sum(eye_array(rows, k=k, dtype=np.float32) for k in range(-3, 4)) / np.float32(7))
+    transport = Transport(blur, (2 * SIDE, 2 * SIDE), (2 * SIDE, 2 * SIDE))
+    given, wanted = rng.uniform(0.3, 0.7, (2, rows, 1)).astype(np.float32)
+    encoder = LeastSquaresEncoder(exposure=1, pull=0.3, iterations=steps)
+    solved = encoder._solve(_SourceMatrix([transport], None, 0), wanted, given)
+    np.testing.assert_allclose(solved, nesterov(blur.toarray().astype(float), wanted, given, 0.3, steps), atol=1e-4)
+
+
+def test_stored_sources_are_whole_display_values(rng: np.random.Generator) -> None:
+    """What is written to a file of 8 bits is what was solved."""
+    (view,) = encoded(scene(rng, [picture(rng)], ["a"]), [shuffled()]).views
+    seen = np.unique(shuffled().matrix.indices)
+    values = to_display(view.source.reshape(-1)[seen]) * 255
+    np.testing.assert_allclose(values, np.rint(values), atol=1e-3)
+
+
+def test_where_nothing_that_is_seen_may_be_painted_the_source_stays(rng: np.random.Generator) -> None:
+    seen = np.zeros(4 * SIDE * SIDE, bool)
+    seen[shuffled().matrix.indices] = True
+    given = scene(rng, [picture(rng)], ["a"], seen.reshape(2 * SIDE, 2 * SIDE))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a median of nothing
+        (view,) = encoded(given, [shuffled()], bleed="2mm").views
+    np.testing.assert_array_equal(view.source, given.views[0].source)
 
 
 def test_the_solver_starts_its_acceleration_anew_when_it_overshoots(rng: np.random.Generator) -> None:
@@ -209,11 +263,13 @@ def test_painted_pixels_spread_as_far_as_they_are_told_and_no_farther(
     given = scene(rng, [rng.random((8, 8, 1)).astype(np.float32)], ["a"])
     bleed = f"{(bleed_px + 0.1) * LENS.source_size_mm / (2 * SIDE)}mm" if bleed_px else "0mm"
     (view,) = encoded(given, [transport], bleed=bleed).views
+    (covered,) = encoded(given, [transport], bleed=bleed, camouflage={"type": "flat"}).views
     rows, columns = np.indices(seen.shape)
     nearest = np.clip(rows, 20, 27), np.clip(columns, 20, 27)
     near = np.hypot(rows - nearest[0], columns - nearest[1]) <= bleed_px + 0.1
-    np.testing.assert_array_equal(view.source[near], view.source[nearest][near])
-    np.testing.assert_array_equal(view.source[~near], given.views[0].source[~near])
+    for source, beyond in ((view.source, given.views[0].source), (covered.source, np.ones_like(covered.source))):
+        np.testing.assert_array_equal(source[near], source[nearest][near])
+        np.testing.assert_array_equal(source[~near], beyond[~near])
 
 
 def test_no_pixel_changes_by_more_than_allowed(rng: np.random.Generator) -> None:
@@ -226,6 +282,7 @@ def test_no_pixel_changes_by_more_than_allowed(rng: np.random.Generator) -> None
 
 def test_camouflage_covers_what_is_not_seen_and_nothing_else(rng: np.random.Generator) -> None:
     transport, given = shuffled(), scene(rng, [picture(rng)], ["a"])
+    assert 0 not in transport.matrix.indices
     bare, covered = (encoded(given, [transport], **o).views[0] for o in ({}, {"camouflage": {"type": "flat"}}))
     seen = np.zeros(4 * SIDE * SIDE, bool)
     seen[transport.matrix.indices] = True

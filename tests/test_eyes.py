@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from magiclens.analysis.ideal_picture import predict
 from magiclens.contract.artifacts import Assignment, FloatArray, HeightField, Scene, View
@@ -11,9 +13,19 @@ from magiclens.geometry.facets import edge_models, patches_seen
 from magiclens.geometry.solid import solid_from_heights
 from magiclens.integration.orientation import edge_rises
 from magiclens.integration.poisson import lenslets
-from magiclens.optics.eyes import linearise, linearised, local_map, unknown_first_order
-from magiclens.optics.medium import Slab
-from magiclens.optics.refraction import facet_normal
+from magiclens.optics.eyes import (
+    height_gradient,
+    land,
+    linearise,
+    linearised,
+    local_map,
+    project,
+    shift,
+    surface_point,
+    unknown_first_order,
+)
+from magiclens.optics.medium import Cut, Slab
+from magiclens.optics.refraction import facet_normal, refract
 from magiclens.optics.walls import DOWN, LEFT, RIGHT, UP
 from magiclens.rendering.tracer import Tracer, trace
 from scenes import (
@@ -68,6 +80,93 @@ def test_the_reference_eye_of_a_scene_sees_offsets_and_maps_exactly() -> None:
     np.testing.assert_array_equal(seen.maps[..., [0, 0, 1, 1], [0, 1, 0, 1]], chosen.maps[..., [0, 1, 1, 2]])
     np.testing.assert_array_equal(seen.positions_mm, lens.facet_centres_mm())
     np.testing.assert_array_equal(seen.shears, np.broadcast_to(np.eye(2), (3, 3, 2, 2)))
+
+
+CUTS = [Cut(np.array(ABOVE), False), Cut(np.array([30.0, -80.0, THICK + 200.0]), False), Cut(np.array(ABOVE), True)]
+at = st.floats(-30.0, 30.0)
+
+
+@given(at, at, st.floats(-3.0, 3.0), st.sampled_from(CUTS))
+def test_a_point_of_the_top_lies_on_the_ray_or_line_of_its_name(u: float, v: float, height: float, cut: Cut) -> None:
+    point, named = np.array(surface_point(cut, u, v, height, THICK)), np.array([u, v, THICK])
+    if cut.vertical:
+        np.testing.assert_allclose(point, (u, v, THICK + height))
+        return
+    far = cut.eye[2] - THICK
+    np.testing.assert_allclose(point - cut.eye, np.exp(-height / far) * (named - cut.eye), atol=1e-9)
+    np.testing.assert_allclose(project(cut.eye, tuple(point), THICK), (u, v), atol=1e-9)
+
+
+@given(at, at, st.floats(-0.5, 0.5), st.floats(-0.5, 0.5), st.sampled_from(CUTS))
+def test_heights_with_the_gradient_of_a_normal_make_a_surface_with_that_normal(
+    u: float, v: float, x: float, y: float, cut: Cut
+) -> None:
+    normal = np.array([x, y, 1.0]) / np.hypot(1.0, np.hypot(x, y))
+    gu, gv = height_gradient(cut, u, v, tuple(normal), THICK)
+    step = 1e-5
+    for du, dv in ((step, 0.0), (0.0, step)):
+        there = surface_point(cut, u + du, v + dv, gu * du + gv * dv, THICK)
+        back = surface_point(cut, u - du, v - dv, -gu * du - gv * dv, THICK)
+        assert np.subtract(there, back) @ normal == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("gap", [0.0, 30.0])
+@pytest.mark.parametrize("eye", [ABOVE, ASIDE])
+def test_light_lands_where_snells_law_takes_it(eye: Eye, gap: float) -> None:
+    point, normal = np.array([5.0, -3.0, THICK + 1.0]), np.array([0.2, -0.1, 1.0]) / np.sqrt(1.05)
+    ray = (point - eye) / np.linalg.norm(point - np.array(eye))
+    inside = np.array(refract(*ray, *normal, IOR))
+    bottom = point - inside * point[2] / inside[2]
+    below = np.array(refract(*inside, 0.0, 0.0, 1.0, 1 / IOR))
+    x, y, arrives = land(eye, tuple(point), tuple(normal), Slab(THICK, gap, IOR))
+    assert arrives
+    np.testing.assert_allclose((x, y), (bottom - below * gap / below[2])[:2], atol=1e-9)
+
+
+@pytest.mark.parametrize(("tilt_deg", "arrives"), [(0.0, True), (80.0, True), (85.0, False), (95.0, False)])
+def test_light_does_not_land_past_the_critical_angle_nor_from_behind_a_facet(tilt_deg: float, arrives: bool) -> None:
+    """Straight from above; a facet of 85 degrees bends it by 43, and 42 are the most at the flat bottom."""
+    tilt = np.radians(tilt_deg)
+    normal = (float(np.sin(tilt)), 0.0, float(np.cos(tilt)))
+    assert land(ABOVE, (0.0, 0.0, THICK), normal, Slab(THICK, 10.0, IOR))[2] == arrives
+
+
+@pytest.mark.parametrize("gap", [0.0, 30.0])
+@pytest.mark.parametrize(("made_for", "eye"), [(ABOVE, (90.0, 40.0, 340.0)), (ASIDE, (-60.0, 150.0, 500.0))])
+def test_what_an_eye_sees_to_first_order_is_what_exact_rays_show_nearby(made_for: Eye, eye: Eye, gap: float) -> None:
+    """A lenslet with a map, and a flat micro-facet in its middle; raised, so that the eye sees it elsewhere."""
+    slab, cut = Slab(THICK, gap, IOR), Cut(np.array(made_for), False)
+    centre, height, offset, xx, xy, yy = np.array([4.0, -7.0]), 0.8, np.array([1.5, -2.5]), 0.6, 0.2, -0.4
+    seen = linearised(np.array(eye), cut.eye, centre[None], np.array([height]), offset[None], slab)
+
+    def normal_at(p: FloatArray, h: float) -> tuple[float, float, float]:
+        wanted = centre + offset + np.array([[xx, xy], [xy, yy]]) @ p
+        point = surface_point(cut, *(centre + p), h, THICK)
+        normal: tuple[float, float, float] = facet_normal(made_for, point, tuple(wanted), slab)
+        return normal
+
+    flat = normal_at(np.zeros(2), height)
+    gradient = np.array(height_gradient(cut, *centre, flat, THICK))
+
+    def shown(p: FloatArray, normal: tuple[float, float, float] | None = None) -> FloatArray:
+        """Landing and position of the point p from the facet's centre."""
+        h = height + gradient @ p
+        point = surface_point(cut, *(centre + p), h, THICK)
+        x, y, _ = land(eye, point, normal or normal_at(p, h), slab)
+        return np.array([x, y, *project(eye, point, THICK)])
+
+    local = np.zeros(4)
+    local_map(seen, 0, (xx, xy, yy), local)
+    np.testing.assert_allclose(np.append(seen.landing[0], seen.position[0]), shown(np.zeros(2)), atol=1e-9)
+    for axis, step in enumerate(1e-3 * np.eye(2)):
+        moved = (shown(step) - shown(-step)) / 2e-3
+        still = (shown(step, flat) - shown(-step, flat)) / 2e-3
+        np.testing.assert_allclose(local.reshape(2, 2)[:, axis], moved[:2], atol=2e-3)
+        np.testing.assert_allclose(seen.position_by_facet[0, :, axis], moved[2:], atol=2e-3)
+        np.testing.assert_allclose(seen.flat_by_facet[0, :, axis], still[:2], atol=2e-3)
+    before = seen.landing[0].copy()
+    shift(seen, 0, 0.5)
+    np.testing.assert_allclose(seen.landing[0] - before, 0.5 * seen.by_source[0, :, 0])
 
 
 def lens_at(scene: Scene, chosen: Assignment, levels: FloatArray) -> HeightField:

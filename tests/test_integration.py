@@ -15,6 +15,7 @@ from magiclens.contract.errors import StageError
 from magiclens.contract.stages import Integrator
 from magiclens.geometry.facets import EDGE_POINTS, built_drifts, edge_models
 from magiclens.geometry.solid import solid_from_heights
+from magiclens.integration.iterate import iterate
 from magiclens.integration.least_squares import LeastSquaresIntegrator
 from magiclens.integration.levels import levels_of_least_lost_light, levels_of_least_steps
 from magiclens.integration.orientation import edge_rises
@@ -283,6 +284,52 @@ def test_heights_that_will_not_rest_are_an_error_that_names_a_facet() -> None:
     lens = small_lens(3, 6.0, relief_mm=30.0)
     with pytest.raises(StageError, match=r"did not converge: facet \(row \d, column \d\) still moves by .* mm; use a"):
         Poisson(rounds=1).integrate(blank_scene(lens), wild(3, 0))
+
+
+def test_rounds_end_once_nothing_moves_and_whole_changes_are_made() -> None:
+    lens = small_lens(2)
+    scene, wanted = blank_scene(lens), np.random.default_rng(0).normal(size=(2, 2, 9, 9)) / 10
+    told: list[float] = []
+    built = iterate(scene, wild(2, 0), lambda *_: wanted, 5, 1e-6, told.append)
+    np.testing.assert_allclose(built.heights_mm, wanted, atol=1e-12)
+    assert built.metrics["integration_rounds"] == 2
+    assert built.metrics["integration_change_mm"] == 0
+    assert told == pytest.approx([0.2, 0.4])
+
+
+def test_changes_that_grow_are_halved_until_the_heights_rest() -> None:
+    """Each round overshoots by one and a half times what is missing."""
+    lens, wanted = small_lens(1), 0.5
+    built = iterate(
+        blank_scene(lens), wild(1, 0), lambda rows, columns, heights, done: wanted - 1.5 * (heights - wanted),
+        100, 1e-6, lambda _: None,
+    )  # fmt: skip
+    np.testing.assert_allclose(built.heights_mm, wanted, atol=1e-5)
+
+
+@pytest.mark.parametrize(("placement", "times"), [("light", 3), ("steps", 0)])
+def test_light_is_asked_for_in_the_first_three_rounds_only(
+    placement: str, times: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: list[FloatArray] = []
+
+    def counted(scene: Scene, shapes: FloatArray, levels: FloatArray, step_weight: float) -> FloatArray:
+        calls.append(levels)
+        return levels_of_least_lost_light(scene, shapes, levels, step_weight)
+
+    monkeypatch.setattr("magiclens.integration.levels.levels_of_least_lost_light", counted)
+    built = Poisson(placement=placement).integrate(blank_scene(small_lens(3)), wild(3, 1))
+    assert built.metrics["integration_rounds"] > 3
+    assert len(calls) == times
+
+
+def test_placing_for_light_settles_and_keeps_low_steps_only_as_far_as_they_weigh() -> None:
+    lens = small_lens(4, relief_mm=3.0)
+    steps = [
+        Poisson(step_weight=weight).integrate(blank_scene(lens), wild(4, 2)).metrics["step_mean_mm"]
+        for weight in (0.0, 100.0)
+    ]
+    assert steps[1] < 0.95 * steps[0]
 
 
 def microfacet_angles(solid: Solid, lens: Lens) -> FloatArray:

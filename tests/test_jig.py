@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from manifold3d import Manifold, OpType
+from manifold3d import CrossSection, Manifold, OpType
 
 from magiclens.contract.artifacts import Lens, Scene, Solid, View
 from magiclens.contract.errors import InputError
@@ -88,6 +88,71 @@ def test_parts_fit_a_bed_and_are_closed_in_their_files(tmp_path: Path) -> None:
         if name != "lens.jig-lens.stl":
             assert mesh.extents.max() <= 150 + 1e-3, name
         assert mesh.bounds[0, 2] == pytest.approx(0, abs=1e-4), name
+        if name != "lens.jig-lens.stl":
+            assert mesh.bounds[:, :2].sum(axis=0) == pytest.approx([0, 0], abs=1e-3), name
+
+
+def area_at(body: Manifold, z: float) -> float:
+    return float(body.slice(z).area())
+
+
+def test_an_arrow_in_the_wall_points_up_the_sheet() -> None:
+    tray = next(part.body for part in jig_parts(scene_of(), slab(), replace(SHAPE, stand=False)) if part.name == "tray")
+    arrow = tray.slice(6.5) - tray.slice(7.5)
+    left, low, right, high = arrow.bounds()
+    assert 10 < arrow.area() < 40
+    assert (left + right) / 2 == pytest.approx(0, abs=1e-3)
+    assert bottom_half(slab()) < low < high < tray.bounding_box()[4]
+    upper = arrow.area() - (arrow ^ CrossSection.square([40, low + high], True)).area()
+    assert upper < arrow.area() / 3, "its tip is up"
+    assert area_at(tray, 7.99) == pytest.approx(area_at(tray, 7.5)), "it is open to the top"
+
+
+def test_parts_stand_on_their_flat_ends_and_the_sheet_lies_on_a_floor() -> None:
+    parts = {part.name: part for part in jig_parts(scene_of(), slab(), SHAPE)}
+    tray = parts["tray"].on_bed()
+    assert area_at(tray, 1.0) > 60**2, "the floor has no hole"
+    pocket = area_at(tray, 1.0) - area_at(tray, 2.1)
+    assert pocket == pytest.approx(60.4**2, rel=1e-4), "and above it there is room for the sheet"
+    for name in ("column-part-1", "arm"):
+        body = parts[name].on_bed()
+        top = body.bounding_box()[5]
+        assert area_at(body, top - 0.1) == pytest.approx(12.0**2, rel=1e-4), "a peg stands up"
+        assert area_at(body, 0.1) > 100
+    eye = parts["arm"].body.bounding_box()
+    assert (eye[2], eye[5]) == pytest.approx((408 - 14, 408 + 5), abs=1e-3), "the arm's underside is where the eye is"
+
+
+def test_columns_go_from_the_block_to_the_eye_in_equal_parts() -> None:
+    parts = jig_parts(scene_of(), slab(), replace(SHAPE, bed=150.0))
+    boxes = [part.body.bounding_box() for part in parts if part.name.startswith("column")]
+    tops = [box[5] for box in boxes]
+    assert tops == pytest.approx([20 + (408 - 20) * k / 3 for k in (1, 2, 3)], abs=1e-3)
+    assert [box[5] - box[2] for box in boxes] == pytest.approx([388 / 3 + 14] * 3, abs=1e-3)
+
+
+def test_tiles_are_equal_and_together_the_tray() -> None:
+    lens = replace(LENS, size_mm=200.0, source_size_mm=200.0)
+    one, four = (
+        [part.body for part in jig_parts(scene_of(lens), slab(lens), replace(SHAPE, stand=False, bed=bed))]
+        for bed in (400.0, 150.0)
+    )
+    assert (len(one), len(four)) == (1, 4)
+    assert sum(body.volume() for body in four) == pytest.approx(one[0].volume())
+    sides = np.array([body.bounding_box() for body in four])
+    assert np.ptp(sides[:, 3] - sides[:, 0]) < 1e-3
+    assert np.ptp(sides[:, 4] - sides[:, 1]) < 1e-3
+    whole = Manifold.batch_boolean(four, OpType.Add).bounding_box()
+    assert whole == pytest.approx(one[0].bounding_box(), abs=1e-3)
+
+
+def test_a_bed_just_large_enough_is_large_enough() -> None:
+    body = next(part for part in jig_parts(scene_of(), slab(), SHAPE) if part.name == "arm").on_bed()
+    low, high = np.split(np.array(body.bounding_box()), 2)
+    longest = float((high - low).max())
+    jig_parts(scene_of(), slab(), replace(SHAPE, bed=longest))
+    with pytest.raises(InputError, match="exporter jig: bed"):
+        jig_parts(scene_of(), slab(), replace(SHAPE, bed=longest - 0.01))
 
 
 def test_pieces_go_into_each_other_with_the_clearance() -> None:

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 from scipy.ndimage import map_coordinates
 
 from magiclens.analysis.ideal_picture import predict
@@ -419,6 +420,32 @@ def test_a_facet_that_reaches_no_patch_is_named() -> None:
     scene = Scene(lens, (grey_view(blotches(120, 4.0), letter_f(64)),))
     with pytest.raises(InputError, match=r"facet \(row 0, column 0\) reaches no patch.*larger.*max_slope"):
         matched(Exhaustive(scales=(0.2,), window="1mm"), scene)
+
+
+def test_a_row_that_is_matched_alone_is_named_by_its_place_in_the_lens() -> None:
+    lens = small_lens(3, 3.0, max_slope_deg=1.0)
+    scene = Scene(lens, (grey_view(blotches(120, 4.0), letter_f(64)),))
+    with pytest.raises(InputError, match=r"facet \(row 2, column 0\)"):
+        Exhaustive(scales=(0.2,), window="1mm").match_rows(scene, 2, 3)
+
+
+@pytest.mark.parametrize(
+    ("key", "least", "less"),
+    [("window", "0.1mm", "0.099mm"), ("window", "0.1%", "0.099%"), ("step", "0.01mm", "0.0099mm")],
+)
+def test_windows_and_steps_have_a_least_and_a_largest_value(key: str, least: str, less: str) -> None:
+    for value in (least, "20000mm", "200%"):
+        Exhaustive.model_validate({key: value})
+    for value in (less, "20001mm", "201%"):
+        with pytest.raises(ValidationError, match="must be at"):
+            Exhaustive.model_validate({key: value})
+
+
+def test_magnitudes_of_maps_have_bounds() -> None:
+    Exhaustive(scales=(0.01, 100.0))
+    for scale in (0.0099, 100.1):
+        with pytest.raises(ValidationError, match=r"scales are from 0\.01 to 100"):
+            Exhaustive(scales=(scale,))
 
 
 def test_views_of_different_eyes_need_another_matcher() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -60,6 +61,14 @@ def assert_found(found: Candidates, cut: Assignment) -> None:
 def test_a_patch_that_both_eyes_must_see_is_found(turns: tuple[int, int], cells: str, gap: float) -> None:
     scene, cut = planted(turns=turns, cells=cells, gap_mm=gap)
     assert_found(matched(scene), cut)
+
+
+def test_progress_tells_of_search_and_polishing_and_ascends() -> None:
+    told: list[float] = []
+    scene, _ = planted()
+    OPTIONS.match_at(scene, np.zeros((3, 3)), told.append)
+    assert len(told) >= 2
+    assert all(0 < before < after <= 1 for before, after in pairwise(told))
 
 
 def test_facets_that_stand_high_or_low_are_matched_where_they_are_seen() -> None:

@@ -97,7 +97,7 @@ def test_a_mutant_is_reached_by_any_line_of_its_statement(tool: ModuleType) -> N
 
 
 def test_fewer_kills_than_last_measured_fail_beyond_chance(tool: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(tool.FOLDERS, "toy", tool.Folder(0.9, ()))
+    monkeypatch.setitem(tool.FOLDERS, "toy", tool.Folder(0.9, []))
     assert not tool.too_few("toy", 90, 100)
     assert not tool.too_few("toy", 85, 100)
     assert tool.too_few("toy", 83, 100)

@@ -14,9 +14,22 @@ from scipy.optimize import brentq, minimize_scalar
 
 from magiclens.contract.artifacts import FloatArray, Scene
 from magiclens.geometry.facets import EDGE_POINTS, central_slopes, cost_of_lost_light, edge_models
-from magiclens.optics.medium import Slab
+from magiclens.optics.eyes import surface_point
+from magiclens.optics.lenslets import shape_drifts
+from magiclens.optics.medium import Cut, Slab
 from magiclens.optics.refraction import facet_normal, refract, sine_in_slab, transmittance
-from magiclens.optics.walls import DOWN, LEFT, RIGHT, UP, Edges, EnergyTerms, best_height, heat_bath_sweep, total_energy
+from magiclens.optics.walls import (
+    DOWN,
+    LEFT,
+    RIGHT,
+    UP,
+    Edges,
+    EnergyTerms,
+    best_height,
+    heat_bath_sweep,
+    surroundings,
+    total_energy,
+)
 from scenes import ABOVE, DISTANCE, IOR, THICK, blank_scene, grey_view, small_lens
 
 EYES = [(0.0, 0.0, THICK + DISTANCE), (120.0, -80.0, THICK + 300.0), (-30.0, 200.0, THICK + 500.0)]
@@ -189,6 +202,96 @@ def test_rays_drift_toward_the_edges_on_the_side_they_are_bent_to() -> None:
         outside = (np.array([x, y]) - (40.0, 0.0)) / DISTANCE
         outward = float((inside - outside) @ np.sign([x, y]))
         np.testing.assert_allclose(drifts[0, 0, 0, edge], max(outward, 0.0), atol=1e-6)
+
+
+def wall_takes(q: FloatArray, edge: int, normal: FloatArray, cut: Cut, eyes: FloatArray, slab: Slab) -> float:
+    """Width of the strip that a wall at q takes, per mm of step: of rays in the slab, and of what eyes see of it."""
+    axis, outward = (0, 1, 0, 1)[edge], (1, 1, -1, -1)[edge]
+    wall = 0.0 if cut.vertical else (q[axis] - cut.eye[axis]) / (cut.eye[2] - slab.depth)
+    taken = []
+    for eye in eyes:
+        ray = np.append(q, slab.depth) - eye
+        bent = refract(*(ray / np.linalg.norm(ray)), *normal, slab.ior)
+        inside, outside = -bent[axis] / bent[2] - wall, -ray[axis] / ray[2] - wall
+        taken.append(max(outward * inside, 0.0) + max(-outward * outside, 0.0))
+    return float(np.mean(taken))
+
+
+@pytest.mark.parametrize("vertical", [True, False])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_walls_of_a_built_facet_take_what_its_normals_say(vertical: bool, sign: int) -> None:
+    """The facet is a quadratic; its normals are those of the surface through its points."""
+    cells, pitch, centre = 20, 2.0, np.array([7.0, -4.0])
+    slab, cut = Slab(THICK, 0.0, IOR), Cut(np.array([30.0, 50.0, THICK + 200.0]), vertical)
+    eyes = np.array([cut.eye, (-90.0, 10.0, THICK + 300.0)])
+
+    def height(x: float, y: float) -> float:
+        u, v = x - centre[0], y - centre[1]
+        return float(sign * (0.5 * u - 0.4 * v + 0.1 * u * u + 0.15 * u * v - 0.12 * v * v))
+
+    def normal(q: FloatArray) -> FloatArray:
+        ends = [(q + step, q - step) for step in (np.array([1e-4, 0.0]), np.array([0.0, 1e-4]))]
+        along = [np.subtract(*(surface_point(cut, *p, height(*p), slab.depth) for p in pair)) for pair in ends]
+        across = np.cross(*along)
+        return np.asarray(across / np.linalg.norm(across))
+
+    at = np.linspace(-0.5, 0.5, cells + 1) * pitch
+    shape = np.array([[height(centre[0] + x, centre[1] - y) for x in at] for y in at])
+    found, changes = shape_drifts(shape[None], centre[None], pitch / cells, cut, eyes, slab)[0], []
+    for edge, (across, along) in {RIGHT: (1, 0), UP: (0, 1), LEFT: (-1, 0), DOWN: (0, -1)}.items():
+        places = [centre + np.where([across, along], np.array([across, along]) * pitch / 2, a) for a in at]
+        expected = np.array([wall_takes(q, edge, normal(q), cut, eyes, slab) for q in places])
+        np.testing.assert_allclose(found[edge, 1:-1], expected[1:-1], atol=0.01)
+        np.testing.assert_allclose(found[edge, [0, -1]], expected[[0, -1]], atol=0.02)
+        changes.append(np.ptp(expected))
+    assert sum(change > 0.02 for change in changes) >= 2, "along edges to which rays drift"
+
+
+def test_the_heat_bath_draws_candidates_by_their_energy() -> None:
+    """``P(k) ~ exp(-E / T)``; one facet has no neighbours, so its energy is its image error."""
+    flat, count, temperature = np.zeros((1, 1, 4, 4, EDGE_POINTS), np.float32), 400, 0.5
+    errors = np.array([[[0.7, 0.2, np.inf, 0.9]]])
+    drawn = []
+    for die in (np.arange(count) + 0.5) / count:
+        choice, heights = np.zeros((1, 1), np.int64), np.zeros((1, 1))
+        terms, dice = EnergyTerms(1.0, 1.0, 0.0, 1.0), np.array([[die]])
+        heat_bath_sweep(choice, heights, errors, Edges(flat, flat), terms, 2.0, temperature, dice)
+        drawn.append(int(choice[0, 0]))
+    likely = np.exp(-errors[0, 0] / temperature)
+    assert np.bincount(drawn, minlength=4) == pytest.approx(count * likely / likely.sum(), abs=1.5)
+
+
+def test_the_heat_bath_leaves_out_candidates_that_rise_beyond_the_relief() -> None:
+    profiles = np.zeros((1, 1, 2, 4, EDGE_POINTS), np.float32)
+    profiles[0, 0, 0, LEFT, 0] = -2.1
+    choice, heights = np.zeros((1, 1), np.int64), np.full((1, 1), 0.7)
+    edges, terms = Edges(profiles, np.zeros_like(profiles)), EnergyTerms(1.0, 1.0, 0.0, 1.0)
+    errors = np.array([[[0.1, 0.2]]])
+    moved = heat_bath_sweep(choice, heights, errors, edges, terms, 2.0, 0.0, np.zeros((1, 1)))
+    assert choice[0, 0] == 1
+    assert heights[0, 0] == pytest.approx(0.0, abs=1e-4)
+    assert moved == pytest.approx(0.7, abs=1e-4)
+    heat_bath_sweep(choice, heights, errors, edges, terms, 2.2, 0.0, np.zeros((1, 1)))
+    assert choice[0, 0] == 0
+
+
+def test_the_energy_of_a_lens_changes_as_a_facets_own_cost_does() -> None:
+    """Wherever the facet is, with whatever neighbours; ``best_height`` counts both sides of its edges and corners."""
+    rng, n, points = np.random.default_rng(3), 3, (3, 3, 2, 4, EDGE_POINTS)
+    profiles, drifts = rng.uniform(-1, 1, points).astype(np.float32), rng.uniform(0, 0.4, points).astype(np.float32)
+    edges, terms, errors = Edges(profiles, drifts), EnergyTerms(0.7, 1.3, 0.1, 0.05), np.zeros((n, n, 2))
+    choice, heights = rng.integers(0, 2, (n, n)), rng.uniform(-1, 1, (n, n))
+    around = np.zeros((4, EDGE_POINTS + 1, 2))
+    for i, j in np.ndindex(n, n):
+        surroundings(i, j, choice, heights, edges, around)
+        facet, costs = (Edges(profiles[i, j, choice[i, j]], drifts[i, j, choice[i, j]]), around.copy()), []
+        for height in (0.4, -0.6):
+            moved = heights.copy()
+            moved[i, j] = height
+            whole = total_energy(choice, moved, errors, edges, terms).sum()
+            costs.append((whole, cost_at(height, facet, terms)))
+        (high, own_high), (low, own_low) = costs
+        assert high - low == pytest.approx(own_high - own_low, rel=1e-5)
 
 
 def two_facets(step: float, drift: float, edge: int = RIGHT) -> tuple[Any, ...]:

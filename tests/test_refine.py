@@ -37,7 +37,7 @@ from magiclens.rendering.tracer import picture, trace
 from magiclens.running.pipeline import run_plan
 from magiclens.testing import one_view, two_eyes, two_turns
 from magiclens.testing.scenes import an_assignment
-from scenes import blotches, plane_points_mm, surface
+from scenes import blotches, plane_points_mm, small_lens, surface
 from toys import TOYS, SpecWriter, ToyIntegrator, ToyMatcher, registry_of
 
 RNG = 11
@@ -188,6 +188,45 @@ def strays(scene: Scene, built: HeightField) -> float:
         alone = alone.reshape(n, 64, n, 64, -1, 3)[i, :, j]
         lost += float((np.abs(alone - hits[i, :, j])[..., :2].max(axis=-1) > 0.01).mean()) / n**2
     return lost
+
+
+def test_progress_ascends_to_the_end(matched: tuple[Scene, HeightField]) -> None:
+    told: list[float] = []
+    Poisson(refinement=1).refine(*matched, told.append)
+    assert told == sorted(told)
+    assert told[0] >= 0
+    assert told[-1] == pytest.approx(1.0)
+    assert max(np.diff([0.0, *told])) < 0.4
+
+
+@pytest.mark.parametrize(("facets", "microfacets", "pixels"), [(32, 22, 16), (4, 12, 18), (200, 40, 14)])
+def test_pictures_are_compared_in_512_pixels_or_as_many_as_microfacets_can_show(
+    facets: int, microfacets: int, pixels: int
+) -> None:
+    assert samples_of(small_lens(facets, microfacets=microfacets), 3).pixels == pixels
+
+
+@pytest.mark.parametrize("look_ups", LOOK_UP_SCHEDULE)
+def test_look_ups_are_spread_evenly_over_pixels_and_triangles(look_ups: int) -> None:
+    lens = small_lens(8, microfacets=8)
+    samples, m = samples_of(lens, look_ups), 8
+    cell = (lens.pitch_mm - lens.wall_mm) / m
+    assert samples.cell_mm == pytest.approx(cell)
+    assert samples.per_side / m >= min(look_ups, 2 * samples.pixels / m)
+    rows, columns = np.divmod(np.arange(samples.per_side**2), samples.per_side)
+    down, right = ((line + 0.5) * m / samples.per_side for line in (rows, columns))
+    i, j = np.divmod(samples.triangle // 2, m)
+    assert (np.floor(down) == i).all()
+    assert (np.floor(right) == j).all()
+    upper = samples.triangle % 2 == 1
+    assert ((right - j > down - i) == upper).all()
+    # centroids: a third of a cell from the right angle, which is at the lower left or at the upper right
+    np.testing.assert_allclose(samples.right_mm, (right - j - np.where(upper, 2 / 3, 1 / 3)) * cell)
+    np.testing.assert_allclose(samples.up_mm, -(down - i - np.where(upper, 1 / 3, 2 / 3)) * cell)
+    per_pixel = samples.per_side // samples.pixels
+    pixel = rows // per_pixel * samples.pixels + columns // per_pixel
+    assert (samples.pair_pixel[samples.pair] == pixel).all()
+    assert (samples.pair_triangle[samples.pair] == samples.triangle).all()
 
 
 def test_measures_are_those_of_the_refined_surface(matched: tuple[Scene, HeightField]) -> None:

@@ -87,6 +87,17 @@ def test_air_between_bodies_stays_empty(tmp_path: Path) -> None:
     assert np.array_equal(voxels, expected)
 
 
+@pytest.mark.parametrize("slicing", ["plain", "diffused"])
+def test_columns_without_a_body_stay_empty(slicing: str, tmp_path: Path) -> None:
+    solid = together(box((0, 0, 0), (4, 3, 2)), box((6, 0, 0), (8, 3, 5)))
+    voxels, facts, _ = stack(solid, tmp_path, **MILLIMETRE, slicing=slicing)
+    expected = np.zeros((5, 3, 8), bool)
+    expected[:2, :, :4] = expected[:, :, 6:] = True
+    assert np.array_equal(voxels[:5], expected)
+    assert not voxels[5:].any(), "error diffusion may use more layers"
+    assert facts["filled_mm3"] == pytest.approx(4 * 3 * 2 + 2 * 3 * 5)
+
+
 def test_a_body_that_leans_over_is_filled_where_it_is(tmp_path: Path) -> None:
     """A prism sheared by 45 degrees: its layers move along +x, one pixel per layer."""
     upright = box((0, 0, 0), (2, 3, 6))

@@ -357,6 +357,13 @@ def test_what_is_not_in_a_spec_is_none(write_spec: SpecWriter) -> None:
         assert document.get(keys) is None
 
 
+def test_a_tab_that_is_allowed_is_not_blamed(tmp_path: Path) -> None:
+    path = tmp_path / "a.yaml"
+    path.write_text("a: [\n\tb: 1: 2]\n")
+    with pytest.raises(InputError, match=r"a\.yaml:2: this is not YAML: expected ','"):
+        read_document(path)
+
+
 @pytest.mark.parametrize("text", ["a: 1\n\tb: 2\nc: 3\n", "a:\n\tb: 2\nc: 3\n", "a:\n  - 1\n\t- 2\n  - 3\n"])
 def test_a_tab_before_anything_else_is_named_as_such(text: str, tmp_path: Path) -> None:
     path = tmp_path / "a.yaml"

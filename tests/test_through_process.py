@@ -162,6 +162,23 @@ class TestRefinement:
         assert 0 <= told[0] <= told[-1] <= 1
 
     @pytest.mark.tools
+    def test_two_steps_in_turn_that_help_little_are_the_last(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Every step lowers the error by less than nine tenths, and not by less than a ten-thousandth."""
+        scene, start = a_scene(), a_surface()
+        for enough, taken in ((0.9, 2), (1e-4, 4)):
+            monkeypatch.setattr("magiclens.integration.through_process._ENOUGH", enough)
+            told: list[float] = []
+            top = WholeTop(scene, start, PROCESS)
+            top.descend(top.heights_of(start), 0.25, 4, 0.3, told.append)
+            assert told == pytest.approx([(k + 1) / 4 for k in range(taken)])
+
+    def test_heights_are_moved_into_the_relief_before_they_are_cut(self) -> None:
+        top = WholeTop(a_scene(), a_surface(), PROCESS)
+        ramp = np.linspace(0, 1, 49, dtype=np.float32) * np.ones((49, 1), np.float32)
+        for low, high, least, most in ((1.5, 2.5, 1.0, 2.0), (-2.5, -1.5, -2.0, -1.0), (0.5, 1.5, 0.5, 1.5)):
+            allowed = top._allowed(low + (high - low) * ramp)
+            assert (allowed.min(), allowed.max()) == pytest.approx((least, most), abs=1e-5)
+
     def test_the_integrator_uses_it_for_vertical_cells_alone(self) -> None:
         scene, start = a_scene(), a_surface()
         options = {"process": {"spread": "0.1mm"}, "refinement": 1}

@@ -162,7 +162,7 @@ def _parse(text: str, name: str) -> Any:
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = mark.line if mark else 0
-        raise InputError(_syntax(str(error.problem), text, line), f"{name}:{line + 1}") from None
+        raise InputError(_syntax(str(error.problem)), f"{name}:{line + 1}") from None
     except RecursionError:  # the parser calls itself for every level
         raise InputError("this is nested too deeply", f"{name}:1") from None
     except (YAMLError, ValueError) as error:
@@ -170,12 +170,11 @@ def _parse(text: str, name: str) -> Any:
         raise InputError(f"this is not YAML: {str(error).splitlines()[0]}", f"{name}:{line}") from None
 
 
-def _syntax(problem: str, text: str, line: int) -> str:
+def _syntax(problem: str) -> str:
     duplicate = re.match(r'found duplicate key "([^"]*)"', problem)
     if duplicate:
         return f"the key '{duplicate[1]}' appears twice in one mapping; keep one of them"
-    lines = text.splitlines() or [""]
-    if re.match(r" *\t", lines[min(line, len(lines) - 1)]) or r"'\t'" in problem:
+    if r"'\t'" in problem:
         return "a tab indents this line; YAML is indented with spaces"
     return f"this is not YAML: {problem}"
 

@@ -99,7 +99,7 @@ class LeastSquaresEncoder(Encoder):
         covered = self.camouflage.cover(
             out.reshape(given.shape), ~matrix.free.reshape(given.shape[:2]), scene.lens.source_size_mm, rng
         )
-        return covered if self.change == 1 else np.clip(covered, *_bounds(given, self.change))
+        return np.clip(covered, *_bounds(given, self.change))
 
     def _solve(self, matrix: _SourceMatrix, targets: FloatArray, given: FloatArray) -> FloatArray:
         """Minimise ``|W (A s - g t)|^2 + pull |s - given|^2`` within the bounds.
@@ -193,8 +193,9 @@ def _rim(painted: BoolArray, paintable: BoolArray | None, bleed_px: float) -> tu
     Returns:
         Indices of the pixels of the rim, and for each that of the nearest painted pixel, in the flat source.
     """
-    if bleed_px <= 0 or not painted.any():
-        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    if not bleed_px or not painted.any():
+        none = np.zeros(0, np.int64)
+        return none, none
     from scipy.ndimage import distance_transform_edt
 
     away, nearest = distance_transform_edt(~painted, return_indices=True)
