@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from importlib import import_module, reload
+from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
@@ -34,6 +34,7 @@ def tool(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> ModuleType:
     monkeypatch.syspath_prepend(ROOT)
     tool = import_module("benchmarks.mutants")
     monkeypatch.setattr(tool, "REPOSITORY", tmp_path)
+    tool.functions_of.cache_clear()
     return tool
 
 
@@ -41,8 +42,8 @@ def tool(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> ModuleType:
 def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     (tmp_path / "mutated.py").write_text(SOURCE, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
-    found = import_module("mutated")
-    return reload(found)  # of this test's own folder
+    sys.modules.pop("mutated", None)
+    return import_module("mutated")  # of this test's own folder
 
 
 def test_every_operator_number_and_call_has_a_mutant_but_for_messages(tool: ModuleType) -> None:

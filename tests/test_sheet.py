@@ -186,7 +186,7 @@ def test_marks_begin_2_mm_beside_all_pictures_and_are_6_mm_long(drawn: list[Draw
         corners = {(x, y) for x in (-half - line, half + line) for y in (-half - 5, half + 5)}
         assert len(upright) == 4
         for corner in corners:
-            assert abs(middles - corner).max(axis=1).min() < CLOSE_MM
+            assert abs(middles - corner).max(axis=1).min() < 0.01
 
 
 def test_arrows_point_away_from_the_middle_of_each_side(drawn: list[Drawn]) -> None:
@@ -196,6 +196,20 @@ def test_arrows_point_away_from_the_middle_of_each_side(drawn: list[Drawn]) -> N
     assert sorted(up_and_down[:, 1]) == pytest.approx([-half - 2.2, half], abs=CLOSE_MM)
     assert left_and_right[:, [1, 3]] == pytest.approx(np.array([[-1.5, 1.5]] * 2), abs=CLOSE_MM)
     assert sorted(left_and_right[:, 0]) == pytest.approx([-half - 2.2, half], abs=CLOSE_MM)
+
+
+def test_labels_stand_in_the_middle_of_a_side_and_have_room_beside_small_sources(tmp_path: Path) -> None:
+    """The lens's bottom lies off the middle of its source, and both are narrower than the label is long."""
+    lens, name = replace(LENS, size_mm=20.0, source_size_mm=20.0), "a view with a name of some length, but no more"
+    path = written(PrintSheet(), tmp_path, box((-10, -10, 0), (18, 10, 8)), scene_of(view_of(patch(), name), lens=lens))
+    drawn = drawn_on(path)
+    (arrow,) = paths_of(drawn, 3, 2.2)
+    assert arrow[[0, 2]].mean() == pytest.approx((-10 + 18) / 2, abs=CLOSE_MM)
+    with pypdfium2.PdfDocument(path) as pdf:
+        text = pdf[0].get_textpage()
+        index, count = text.search(f"lens's top here: {name}").get_next()
+        first, last = text.get_charbox(index), text.get_charbox(index + count - 1)
+    assert 50 < (last[2] - first[0]) / 72 * 25.4 <= 60
 
 
 LONG = "a view whose name is much too long for the room beside the lens, so that it must be small"

@@ -98,6 +98,14 @@ def test_columns_without_a_body_stay_empty(slicing: str, tmp_path: Path) -> None
     assert facts["filled_mm3"] == pytest.approx(4 * 3 * 2 + 2 * 3 * 5)
 
 
+@pytest.mark.parametrize("options", [{}, {"slicing": "diffused"}, {"grey": {}}])
+def test_a_tower_of_one_voxel_ends_where_it_ends(options: dict[str, Any], tmp_path: Path) -> None:
+    solid = together(box((0, 0, 0), (4, 3, 2)), box((6, 0, 0), (7, 1, 5)))
+    voxels, _, _ = stack(solid, tmp_path, **MILLIMETRE, **options)
+    assert [int((layer > 0).sum()) for layer in voxels[:5]] == [13, 13, 1, 1, 1]
+    assert not voxels[5:].any()
+
+
 def test_a_body_that_leans_over_is_filled_where_it_is(tmp_path: Path) -> None:
     """A prism sheared by 45 degrees: its layers move along +x, one pixel per layer."""
     upright = box((0, 0, 0), (2, 3, 6))

@@ -43,7 +43,7 @@ class Glb(Exporter):
 def _upright(vertices: FloatArray) -> FloatArray:
     """(V, 3) float32, metres: x stays right, z becomes glTF's up, -y its z, which points toward the viewer."""
     x, y, z = vertices.T / 1000
-    return np.stack([x, z, -y], axis=-1).astype("<f4")
+    return np.column_stack([x, z, -y]).astype("<f4")
 
 
 def _asset(lens: Lens, points: FloatArray, faces: IntArray) -> dict[str, Any]:
