@@ -83,7 +83,7 @@ def test_every_kind_of_picture_becomes_a_spec_that_is_right(name: str, tmp_path:
 
 
 @pytest.mark.sweep
-@pytest.mark.parametrize("name", ["white-on-nothing.png", "drawing.svg", "phone.heic", "tall.png"])
+@pytest.mark.parametrize("name", KINDS)
 def test_a_small_lens_shows_it(name: str, tmp_path: Path) -> None:
     path, spec = made(name, tmp_path), tmp_path / "my.yaml"
     assert mlens("new", "single", path, "--out", spec).exit_code == 0

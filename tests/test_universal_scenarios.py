@@ -92,7 +92,8 @@ def test_questions_reserve_their_ink_and_a_margin() -> None:
 def test_a_lens_for_given_questions_reserves_nothing_and_paints_nothing() -> None:
     scenario = questions(lens="source-optimized")
     assert scenario.reserved(LENS, ART) is None
-    assert scenario.suitable_stages() == {}
+    assert scenario.suitable_stages()["matcher"]["type"] == "exhaustive"
+    assert "encoder" not in scenario.suitable_stages()
     assert questions().suitable_stages()["matcher"]["type"] == "dart-throwing"
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 from magiclens.config.checker import Checker
 from magiclens.config.document import Document, read_document
@@ -26,16 +27,19 @@ def load_spec(path: str | Path, overrides: Iterable[str] = ()) -> Spec:
     """
     document = read_document(path, overrides)
     checker = Checker(document, {"folder": document.folder})
-    return checker.settle(check_spec(document, checker, find_fabrication(document, checker)))
+    return checker.settle(check_spec(document, checker, find_fabrication(document, checker), {}))
 
 
-def check_spec(document: Document, checker: Checker, fabrication: Fabrication | None) -> Spec | None:
+def check_spec(
+    document: Document, checker: Checker, fabrication: Fabrication | None, usual: Mapping[str, Any]
+) -> Spec | None:
     """Validate everything but the options of scenario and stages.
 
     Args:
         document: The spec as it was read; its file's name is the default of the spec's name.
         checker: Notes the mistakes.
         fabrication: The machine that the spec names. It has defaults of its own for the lens, and limits.
+        usual: Keys of the lens that suit the scenario, if the spec writes none of them and names no machine.
 
     Returns:
         The spec; None if it has mistakes.
@@ -44,6 +48,8 @@ def check_spec(document: Document, checker: Checker, fabrication: Fabrication | 
     lens = data.get("lens") or {}
     if fabrication and isinstance(lens, dict):
         data["lens"] = fabrication.lens(lens)
+    elif isinstance(lens, dict) and not lens.keys() & usual.keys():
+        data["lens"] = {**usual, **lens}
     spec = checker.validate(Spec, data)
     for key, objection in fabrication.objections(spec.lens) if fabrication and spec else ():
         checker.add(("lens", key), objection)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -148,7 +148,15 @@ class Plan:
         return (
             *([f"pymeshlab is not installed: the finisher is {FREE_FINISHER}"] if plain else []),
             *([f"files outside of the spec's folder are read: {', '.join(outside)}"] if outside else []),
+            *self._other_material(),
         )
+
+    def _other_material(self) -> Iterator[str]:
+        """A material that the machine does not usually make lenses of, which the spec writes on purpose or not."""
+        written = self.spec.lens.material
+        usual = self.fabrication.profile.lens.get("material") if self.fabrication else None
+        if self.fabrication and usual and written and written != usual:
+            yield f"lens.material is {written}, but {self.fabrication.name} usually makes lenses of {usual}"
 
     def place(self, step: Step[Any]) -> Keys:
         """Where in the spec a stage is, or would be if it were written: ``("pipeline", "exporters", 1)``."""
@@ -238,9 +246,9 @@ class _Compiler:
 
     def plan(self) -> Plan:
         """The plan, or the first mistake."""
-        spec = check_spec(self._document, self._checker, self._fabrication)
         scenario, scenario_plugin = self._scenario()
-        suited = self._suited(scenario, scenario_plugin)
+        suited, usual = self._suited(scenario, scenario_plugin)
+        spec = check_spec(self._document, self._checker, self._fabrication, usual)
         # where both choose a stage, the scenario's choice wins: without it the lens shows nothing
         if self._fabrication and spec:
             suited = self._fabrication.suited(suited, spec.lens)
@@ -268,9 +276,10 @@ class _Compiler:
 
     def _scenario(self) -> tuple[Scenario, Plugin] | tuple[None, None]:
         written = self._document.data.get("scenario")
-        choice: Choice = written if isinstance(written, dict) else {}
-        found = self._pick(("scenario",), choice, SCENARIO)
-        return (self._options(found, choice, ("scenario",), "key"), found[1]) if found else (None, None)
+        if not isinstance(written, dict):
+            return None, None  # a mistake of the spec, which is noted with its other keys
+        found = self._pick(("scenario",), written, SCENARIO)
+        return (self._options(found, written, ("scenario",), "key"), found[1]) if found else (None, None)
 
     def _steps(self, suited: Mapping[str, Choice]) -> dict[str, list[Step[Any] | None]]:
         """The stages at each key of the pipeline; None in place of those that have mistakes."""
@@ -331,11 +340,12 @@ class _Compiler:
         with blaming(f"{getattr(cls, 'kind', SCENARIO)} {cls.type} ({plugin})"):
             return self._checker.validate(cls, options, at, noun)
 
-    def _suited(self, scenario: Scenario | None, plugin: Plugin | None) -> dict[str, Choice]:
+    def _suited(self, scenario: Scenario | None, plugin: Plugin | None) -> tuple[dict[str, Choice], dict[str, Any]]:
+        """Stages that suit the scenario, by kind, and keys of the lens."""
         if scenario is None:
-            return {}
+            return {}, {}
         with blaming(f"scenario {scenario.type} ({plugin})"):
-            return scenario.suitable_stages()
+            return scenario.suitable_stages(), scenario.suitable_lens()
 
     def _fit(self, spec: Spec, scenario: Scenario, plugin: Plugin | None) -> Lens | None:
         with blaming(f"scenario {scenario.type} ({plugin})"):

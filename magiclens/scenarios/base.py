@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -56,6 +56,13 @@ class Scenario(SpecModel, ABC):
 
     def suitable_stages(self) -> dict[str, Choice]:
         """Stages, by kind, that this scenario needs or works best with; a spec may choose others."""
+        return {}
+
+    def suitable_lens(self) -> dict[str, Any]:
+        """Keys of ``lens``, as a spec writes them, with which this scenario works best.
+
+        They hold if the spec writes none of them and names no machine.
+        """
         return {}
 
     def reserved(self, lens: Lens, art: Art) -> BoolArray | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -14,7 +14,7 @@ from magiclens.contract.units import Length
 from magiclens.scenarios.base import Scenario, Shot
 from magiclens.scenarios.camouflage import Camouflage
 from magiclens.scenarios.pictures import Art, Source, Target
-from magiclens.scenarios.universal_animation import read_mask, universal_stages
+from magiclens.scenarios.universal_animation import UNIVERSAL_LENS, read_mask, universal_stages
 
 _PAPER = 0.98
 """Display value below which a pixel counts as ink."""
@@ -46,8 +46,18 @@ class QuestionAnswer(Scenario):
     )
 
     def suitable_stages(self) -> dict[str, Choice]:
-        """A universal lens needs its own matcher and an encoder; the other kind matches the questions as they are."""
-        return universal_stages(self.subdivisions, self.camouflage) if self.lens == "universal" else {}
+        """A universal lens needs its own matcher and an encoder; the other kind matches the questions as they are.
+
+        In either, facets over plain paper must look far: to what is painted beside the question, or to its ink.
+        """
+        if self.lens == "universal":
+            stages = universal_stages(self.subdivisions, self.camouflage)
+            return {**stages, "matcher": {**stages["matcher"], "reach": "8%"}}
+        return {"matcher": {"type": "exhaustive", "pixels": 4, "candidates": 36, "window": "30%"}}
+
+    def suitable_lens(self) -> dict[str, Any]:
+        """Large facets for what is painted, small ones for thin letters, of which each facet sees little."""
+        return UNIVERSAL_LENS if self.lens == "universal" else {"facets": 128, "microfacets": 11}
 
     def reserved(self, lens: Lens, art: Art) -> BoolArray | None:
         """For universal lenses: pixels that are ink in any question, and a margin around them."""

@@ -18,6 +18,8 @@ from magiclens.scenarios.base import Scenario, Shot
 from magiclens.scenarios.camouflage import Camouflage
 from magiclens.scenarios.pictures import AdjustedPicture, Art, Source, Target
 
+UNIVERSAL_LENS = {"facets": 16, "microfacets": 64}
+"""Each facet shows a patch as fine as it is painted, so that a few large facets are best."""
 _STEP_WEIGHT = 1e-5
 """Weight of steps between facets for universal lenses, which nearly ignore them (see ``universal_stages``)."""
 _MOST_FRAMES = 64
@@ -129,6 +131,10 @@ class UniversalAnimation(Scenario):
     def suitable_stages(self) -> dict[str, Choice]:
         """Facets get their parts of the source at random, and sources are painted for the finished lens."""
         return universal_stages(self.subdivisions, self.camouflage)
+
+    def suitable_lens(self) -> dict[str, Any]:
+        """See ``UNIVERSAL_LENS``."""
+        return UNIVERSAL_LENS
 
     def reserved(self, lens: Lens, art: Art) -> BoolArray | None:
         """The mask, at the resolution of the source."""

@@ -1,0 +1,69 @@
+"""Specs of nothing but a scenario, as people write them by hand, next to the shipped ones of the same pictures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from ruamel.yaml import YAML
+
+from lenses import SPECS
+from magiclens import Run, load_plan, run_spec
+from magiclens.plan.compile import Plan
+
+SCENARIOS = (
+    "single", "rotating", "multi-pair", "multi-view", "stable-zone", "universal-animation", "question-answer-universal",
+    "question-answer-source-optimized",
+)  # fmt: skip
+OTHERWISE = {"multi-view"}
+"""Those whose shipped specs do more than the scenario's defaults."""
+
+
+def minimal(name: str, folder: Path) -> Path:
+    """The shipped spec with its scenario alone."""
+    shipped = YAML(typ="safe").load(SPECS / f"{name}.yaml")
+    path = folder / f"{name}.yaml"
+    YAML().dump({"scenario": shipped["scenario"]}, path)
+    return path
+
+
+def design(plan: Plan) -> dict[str, Any]:
+    """All of a plan that shapes the lens."""
+    resolved = plan.resolved()
+    kept = {key: value for key, value in resolved["pipeline"].items() if key not in ("exporters", "renderers")}
+    return {"lens": resolved["lens"], "viewer": resolved["viewer"], **kept}
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_a_scenario_brings_what_suits_it(name: str, tmp_path: Path) -> None:
+    written, by_hand = design(load_plan(SPECS / f"{name}.yaml")), design(load_plan(minimal(name, tmp_path)))
+    assert (written == by_hand) == (name not in OTHERWISE)
+
+
+def test_facets_that_are_written_and_machines_go_first(tmp_path: Path) -> None:
+    path = minimal("stable-zone", tmp_path)
+    assert load_plan(path).lens.microfacets == 11
+    few = load_plan(path, ["lens.facets=16"]).lens
+    assert (few.facets, few.microfacets) == (16, 22)
+    assert load_plan(path, ["fabrication.machine=sla"]).lens.facets == 32
+
+
+@pytest.mark.parametrize(("material", "said"), [("acrylic", True), ("photopolymer-sla", False)])
+def test_a_material_that_is_not_the_machines_is_said_aloud(material: str, said: bool, tmp_path: Path) -> None:
+    path = minimal("single", tmp_path)
+    notices = load_plan(path, ["fabrication.machine=sla", f"lens.material={material}"]).notices()
+    assert any("usually makes lenses of photopolymer-sla" in notice for notice in notices) == said
+    assert load_plan(path, ["fabrication.machine=sla"]).notices() == load_plan(path).notices()
+
+
+@pytest.mark.sweep
+@pytest.mark.parametrize("name", sorted(OTHERWISE))
+def test_a_minimal_spec_is_within_one_decibel(name: str, tmp_path: Path) -> None:
+    def shown_db(spec: Path) -> float:
+        settings = ["pipeline.renderers=[{type: tracer}]", "report.analyses=[]"]
+        run: Run = run_spec(spec, tmp_path / "run", settings)
+        return float(np.mean([view["psnr_db"] for view in run.manifest["views"]]))
+
+    assert shown_db(minimal(name, tmp_path)) > shown_db(SPECS / f"{name}.yaml") - 1.0
