@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from lenses import SHIPPED, SPECS
 from magiclens.cli import app
 from magiclens.contract.artifacts import FloatArray
 from magiclens.contract.errors import InputError
@@ -19,7 +20,7 @@ from magiclens.images import art, to_display, to_linear, write_png
 from magiclens.images.resample import cropped_to_square
 from magiclens.images.tones import toned
 from magiclens.new.assess import assess
-from magiclens.new.layouts import LAYOUTS
+from magiclens.new.layouts import LAYOUTS, ON_MACHINES, SPECIAL
 from magiclens.new.write import Making, new_spec
 from magiclens.plan.compile import Plan, load_plan
 from magiclens.running.pipeline import run_plan
@@ -180,6 +181,19 @@ def test_a_machine_sets_material_facets_and_files(
     assert plan.lens.cells == "vertical"
     assert plan.lens.ior != pytest.approx(1.49)  # a resin, not acrylic
     assert [step.stage.type for step in plan.exporters] == files
+
+
+def test_every_shipped_spec_may_be_asked_for_by_its_name(panda: Path, tmp_path: Path) -> None:
+    names = set(SHIPPED) - set(LAYOUTS)
+    assert names == set(ON_MACHINES) | set(SPECIAL)
+    for name, (scenario, machine) in ON_MACHINES.items():
+        new_spec(name, [panda] * LAYOUTS[scenario].least, tmp_path / f"{name}.yaml")
+        mine, shipped = planned(tmp_path / f"{name}.yaml"), planned(SPECS / f"{name}.yaml")
+        assert mine.scenario.type == shipped.scenario.type == scenario
+        assert [plan.fabrication and plan.fabrication.name for plan in (mine, shipped)] == [machine] * 2
+    for name in SPECIAL:
+        with pytest.raises(InputError, match=f"take the options of specs/{name}.yaml"):
+            new_spec(name, [panda] * 2, tmp_path / "special.yaml")
 
 
 @pytest.mark.parametrize("scenario", LAYOUTS)

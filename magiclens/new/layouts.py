@@ -355,3 +355,20 @@ LAYOUTS = {
     ),
 }  # fmt: skip
 """Layouts by type of scenario."""
+
+ON_MACHINES = {
+    "milled": ("single", "egx-600"),
+    "printed-single": ("single", "sla"),
+    "printed-lcd": ("single", "lcd-12k"),
+    "printed-rotating": ("rotating", "sla"),
+    "printed-universal": ("universal-animation", "sla"),
+    "question-answer-universal": ("question-answer", None),
+}
+"""Scenario and machine of shipped specs that are called otherwise than their scenario."""
+
+SPECIAL = {
+    "fine-detail": "single",
+    "rotating-codesign": "rotating",
+    "question-answer-source-optimized": "question-answer",
+}
+"""The scenario of shipped specs whose special options ``mlens new`` does not write."""

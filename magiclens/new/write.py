@@ -8,7 +8,7 @@ import re
 import tempfile
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import cast, get_args
 
@@ -20,7 +20,7 @@ from magiclens.contract.units import LENGTH
 from magiclens.images import read_image
 from magiclens.images.files import check_not_tiny
 from magiclens.new.assess import Crop, assess
-from magiclens.new.layouts import LAYOUTS, Place, Request
+from magiclens.new.layouts import LAYOUTS, ON_MACHINES, SPECIAL, Place, Request
 from magiclens.new.palette import inks_for
 
 _COMMENT_WIDTH = 110
@@ -54,7 +54,7 @@ def new_spec(
     """Write a spec for a user's pictures.
 
     Args:
-        scenario: Type of the scenario.
+        scenario: Type of the scenario, or the name of a shipped spec: its scenario, for its machine.
         pictures: Files of the pictures that the lens shall show.
         out: The file to write.
         source: File of the source; None for random discs.
@@ -69,6 +69,11 @@ def new_spec(
         InputError: The scenario does not exist or does not take what is given, a picture cannot be read or has no
             contrast, or ``out`` exists already. Nothing is written.
     """
+    scenario, usual = ON_MACHINES.get(scenario, (scenario, None))
+    making = replace(making, machine=making.machine or usual)
+    if scenario in SPECIAL:
+        options = f"write it with 'mlens new {SPECIAL[scenario]}' and take the options of specs/{scenario}.yaml"
+        raise InputError(f"{scenario} is {SPECIAL[scenario]} with special options: {options}", "SCENARIO")
     if scenario not in LAYOUTS:
         raise InputError(unknown("scenario", scenario, LAYOUTS), "SCENARIO")
     _check_request(scenario, len(pictures), source is not None, len(questions))
