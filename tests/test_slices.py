@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import subprocess
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from PIL import Image
 from fabricated import EYE, LENS, Eye, box, bumpy, flat, together, winding, written
 from magiclens.contract.artifacts import BoolArray, FloatArray, Lens, Scene, Solid
 from magiclens.contract.errors import InputError
+from magiclens.exporting.mesh_files import Stl
 from magiclens.exporting.slices import Sl1, Slices
 from magiclens.geometry.solid import volume
 from magiclens.plan.compile import load_plan
@@ -270,3 +272,41 @@ def test_an_sl1_archive_shows_the_lens_mirrored_in_the_middle_of_the_screen(tmp_
 def test_a_lens_larger_than_the_screen_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"the lens has \d+ x \d+ pixels, the screen"):
         written(Sl1(**FINE, bed=("8mm", "24mm", "50mm")), tmp_path, bumpy(None))
+
+
+@pytest.mark.tools
+def test_prusaslicer_reads_the_settings_of_an_sl1_and_makes_the_same_screens(tmp_path: Path) -> None:
+    """Its command line opens no archives, but slices the mesh with their settings, which it must all know."""
+    solid = bumpy(None)
+    mesh = written(Stl(), tmp_path, solid)
+    archive = written(Sl1(dpi_x=400.0, dpi_y=250.0, layer="100um", bed=("30mm", "24mm", "50mm")), tmp_path, solid)
+    ours, settings = screens_of(archive)
+    (tmp_path / "ours.ini").write_text(settings, encoding="utf-8")
+    options = ["--supports-enable=0", "--pad-enable=0", "--center", "15,12", "--output", tmp_path / "theirs.sl1"]
+    slicing = ["prusa-slicer", "--export-sla", "--load", tmp_path / "ours.ini", *options, mesh]
+    subprocess.run(slicing, check=True, capture_output=True)
+    theirs, kept = screens_of(tmp_path / "theirs.sl1")
+    pairs = ([line.split(" = ", 1) for line in text.splitlines() if " = " in line] for text in (settings, kept))
+    wanted, got = map(dict, pairs)
+    numbers = {"initial_exposure_time": "30"}
+    assert {key: got[key] for key in wanted} == {**wanted, **numbers}
+    assert ours.shape[1:] == theirs.shape[1:]
+    common = min(len(ours), len(theirs))
+    assert abs(len(ours) - len(theirs)) <= 1
+    both = (ours[:common], ours[:common, :, ::-1])
+    same, mirrored = (((each > 127) != (theirs[:common] > 127)).mean(axis=(1, 2)) for each in both)
+    assert same.max() < 0.005, "they differ by pixels of the outline"
+    assert mirrored.max() > 10 * same.max()
+
+
+def screens_of(archive: Path) -> tuple[FloatArray, str]:
+    """The screens (layers, rows, columns) of an SL1 archive, and its settings."""
+    with ZipFile(archive) as file:
+        names = sorted(name for name in file.namelist() if name.endswith(".png") and "/" not in name)
+        screens = [np.asarray(Image.open(io.BytesIO(file.read(name))).convert("L")) for name in names]
+        return np.array(screens), file.read("prusaslicer.ini").decode()
+
+
+def test_files_of_solid_layers_are_small(tmp_path: Path) -> None:
+    path = written(Slices(dpi_x=2000, dpi_y=2000, layer="20um"), tmp_path, flat())
+    assert path.stat().st_size < 400 * 1000  # 400 layers of 787 x 787 pixels, of which each is 77 kB
