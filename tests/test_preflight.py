@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 import shutil
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -28,8 +29,10 @@ from magiclens.preflight.light import check_fresnel_loss, check_total_reflection
 from magiclens.preflight.machine import check_as_made, check_bed, check_detail, check_material, check_tool_reach
 from magiclens.preflight.mesh_file import MeshFile, read_mesh_file
 from magiclens.preflight.page import STATUS_COLOURS, lens_map, preflight_text, write_preflight
+from magiclens.preflight.stairs import check_stairs
 from magiclens.preflight.triangles import TopTriangles, top_triangles, trace_triangles
-from magiclens.profiles.machines import machines
+from magiclens.processes.tilting import Tilt
+from magiclens.profiles.machines import Printer, machines
 from magiclens.running.pipeline import Run, run_spec
 
 SPEC = """\
@@ -382,6 +385,15 @@ def test_the_bed_holds_the_lens_or_not(machine: str, bed: list[str], status: str
     assert check_bed(body, profile.model.model_validate({**profile.options, "bed": bed})).status == status
 
 
+def test_a_tilted_lens_needs_a_higher_bed() -> None:
+    profile, body = machines()["sla"], as_file(flat(LENS))  # 12 x 12 x 10 mm
+    low = {**profile.options, "bed": ["40mm", "40mm", "12mm"]}
+    assert check_bed(body, profile.model.model_validate(low)).status == "green"
+    stood = check_bed(body, profile.model.model_validate({**low, "tilt": {"angle": "30deg"}}))
+    assert stood.status == "red"
+    assert "12 x 15.39 x 14.66 mm on a bed" in stood.text
+
+
 def test_the_bill_is_volume_times_density_times_price() -> None:
     from magiclens.profiles.materials import materials
 
@@ -399,6 +411,31 @@ def test_micro_facets_finer_than_the_printer_are_amber_and_small_facets_red() ->
     assert check_detail(LENS, printer).status == "green"
     assert check_detail(replace(LENS, microfacets=50), printer).status == "amber"
     assert check_detail(replace(LENS, facets=24), printer).status == "red"
+
+
+def test_gentle_slopes_are_advised_to_be_tilted() -> None:
+    printer = machines()["sla"].machine()
+    assert isinstance(printer, Printer)
+    everywhere = [(i, j) for i in range(LENS.facets) for j in range(LENS.facets)]
+    upright = replace(LENS, cells="vertical")
+    body, thick = tilted(0.05, everywhere, upright), replace(upright, thickness_mm=40.0)  # thick, rays bend far
+    found = check_stairs(*_body_of(body), thick, printer)
+    assert (found.status, found.check) == ("amber", "layers")
+    wish = re.search(r"fabrication.tilt: \{about: (.), angle: (\S+)\} it would be (\S+) mm", found.text)
+    assert wish is not None
+    as_advised = Tilt.model_validate({"about": wish[1], "angle": wish[2]})
+    better = check_stairs(*_body_of(body), thick, printer.model_copy(update={"tilt": as_advised}))
+    assert better.status == "green"
+    assert f"throw rays off by {wish[3]} mm rms" in better.text
+    assert "its flat side grows by" in better.text
+    own = check_stairs(*_body_of(body), thick, printer.model_copy(update={"slicing": "diffused"}))
+    assert own.status == "green"
+    low = printer.model_copy(update={"bed": (30.0, 30.0, 9.0)})
+    assert "fabrication.tilt" not in check_stairs(*_body_of(body), thick, low).text, "there is no room for it"
+
+
+def _body_of(solid: Solid) -> tuple[MeshFile, TopTriangles]:
+    return as_file(solid), top_of(solid, LENS, None)
 
 
 def test_verdicts_are_those_of_the_worst_finding() -> None:

@@ -9,9 +9,12 @@ import pytest
 
 from fabricated import LENS, bumpy, flat
 from magiclens.contract.artifacts import FloatArray, HeightField, Lens, Scene, Solid
+from magiclens.geometry.columns import top_heights
 from magiclens.geometry.solid import solid_from_heights
 from magiclens.geometry.solid import volume as volume_of
 from magiclens.meshing.validation import validate
+from magiclens.processes.layers import stair_slopes
+from magiclens.processes.linear import LinearProcess
 from magiclens.profiles.machines import Printer, machines
 from magiclens.rendering.tracer import Tracer
 from magiclens.simulation.as_made import as_made, rough_pictures
@@ -128,3 +131,61 @@ def test_a_rough_surface_blurs_what_is_seen() -> None:
         rough_pictures(printer(dpi=[150, 150], roughness=r), scene_of(lens), flat(lens))[0] for r in (0.0, 0.2)
     )
     assert rough.std() < 0.8 * smooth.std()
+
+
+def rolling() -> Solid:
+    """A slab with a smooth top that is not its own mirror image."""
+    within = (np.arange(LENS.microfacets + 1) / LENS.microfacets - 0.5) * (LENS.pitch_mm - LENS.wall_mm)
+    centres = LENS.facet_centres_mm()[:, :, None, None]
+    x, y = centres[..., 0] + within, centres[..., 1] - within[:, None]
+    return solid_from_heights(HeightField(LENS, 0.3 * np.sin(0.7 * x + 0.3) + 0.2 * np.cos(0.9 * y - 0.2), None))
+
+
+def off_by(made: Solid, wanted: Solid, rim: int = 0) -> FloatArray:
+    """How much higher one top is than another, without so many points at its rim."""
+    points = made.vertices[: made.grid[0] * made.grid[1]].reshape(*made.grid, 3)  # type: ignore[index,misc]
+    whole = points[..., 2] - top_heights(wanted, points[0, :, 0], points[:, 0, 1])
+    return whole[rim : len(whole) - rim, rim : whole.shape[1] - rim]
+
+
+@pytest.mark.parametrize("about", ["x", "y"])
+@pytest.mark.parametrize("angle", ["25deg", "-40deg"])
+def test_a_part_that_is_printed_tilted_by_fine_layers_is_as_designed(about: str, angle: str) -> None:
+    made = as_printed(rolling(), printer(**RAW, layer="2um", tilt={"about": about, "angle": angle}))
+    assert validate(made).flaws == ()
+    assert np.abs(off_by(made, rolling())).max() < 0.004
+    assert made.vertices[:, :2].max() == pytest.approx(5, abs=0.2)
+
+
+def test_stairs_of_a_tilted_part_are_fine_and_polished_away() -> None:
+    """A level top has no stairs while it lies flat, but a gentle wedge has wide ones."""
+    solid, coarse = wedge(0.02), {"blur": "0mm", "polish": "0.15mm", "layer": "0.1mm", "dpi": [1200, 1200]}
+    flat_mm, tilted_mm = (
+        off_by(as_printed(solid, printer(**coarse, tilt=tilt)), solid, 20).std()
+        for tilt in (None, {"about": "x", "angle": "30deg"})
+    )
+    assert flat_mm > 0.02
+    assert tilted_mm < 0.002
+
+
+def test_light_below_a_tilted_part_makes_it_thicker() -> None:
+    cure = {"penetration": "0.2mm", "critical": 10, "exposure": 30}
+    thin, thick = (
+        heights(as_printed(flat(), printer(layer="20um", tilt={"angle": "30deg"}, cure=each))) for each in (None, cure)
+    )
+    grown = (0.2 * np.log(3) - 0.02) * np.cos(np.radians(30))
+    assert (thick - thin).mean() == pytest.approx(grown, rel=1e-6)
+    lying = (heights(as_printed(flat(), printer(layer="20um", cure=each))) for each in (None, cure))
+    np.testing.assert_array_equal(*lying)
+
+
+@pytest.mark.parametrize("pixel", [0.002, 0.02])
+@pytest.mark.parametrize("degrees", [2.0, 5.0, 29.0])
+def test_the_slopes_of_stairs_are_foreseen(degrees: float, pixel: float) -> None:
+    """The formula against stairs of a wedge, blurred; coarse columns of pixels show waves that are not there."""
+    rise, layer, process = np.tan(np.radians(degrees)), 0.027, LinearProcess(spread="0.08mm")
+    x = np.arange(0, 40, pixel)
+    off = process.of((np.rint(rise * x / layer) * layer - rise * x)[None], (pixel, pixel))[0]
+    found = np.sqrt((np.gradient(off, pixel)[round(1 / pixel) : -round(1 / pixel)] ** 2).mean())
+    foreseen = stair_slopes(process, layer, (pixel, pixel), np.array([rise, 0.0]))
+    assert foreseen == pytest.approx(found, rel=0.06, abs=1e-3)

@@ -55,7 +55,7 @@ def test_every_material_says_where_its_index_is_from(name: str) -> None:
     assert material.price > 0
 
 
-@pytest.mark.parametrize("name", ["printing", "polyjet-600x300", "sla", "milling", "egx-600"])
+@pytest.mark.parametrize("name", machines())
 def test_every_machine_makes_a_lens_without_further_ado(name: str, load: Loader) -> None:
     plan = load(replace=("milling", name))
     profile = machines()[name]
@@ -116,7 +116,7 @@ def test_what_a_scenario_needs_comes_before_what_suits_a_machine(load: Loader) -
         ("fabrication.layer=20um", "fabrication.layer: unknown key; choose one of: angle, bed, cutter"),
         ("fabrication.tipp=20um", "fabrication.tipp: unknown key; did you mean 'tip'?"),
         ("fabrication.reach=10", "fabrication.reach: 10 is a bare number; a length needs a unit, such as '10mm'"),
-        ("fabrication={tip: 1mm}", "fabrication.machine: this key is required; choose one of: droplet-optics, egx-600"),
+        ("fabrication={tip: 1mm}", "fabrication.machine: this key is required; choose one of: diamond-turning, "),
         ("fabrication=milling", "fabrication: expected a mapping such as {machine: printing}, got 'milling'"),
         ("fabrication.thickness=[9mm, 8mm]", "fabrication.thickness: goes from thin to thick, such as [8mm, 9mm]"),
         ("fabrication.feed=fast", "fabrication.feed: 'fast' is not allowed here; it must match"),
@@ -168,18 +168,19 @@ def test_a_limit_that_a_file_breaks_is_named_with_its_line(load: Loader) -> None
 
 SPREAD = {"spread": 0.087727, "levelling": 0.0}
 """What the sla profile evens out: blur and polish together."""
+REST = {"process": SPREAD, "tilt": None}
 
 
 def test_options_of_a_machine_can_be_changed(load: Loader) -> None:
     plan = load("fabrication={machine: sla, layer: 50um, price: 99}", "pipeline.exporters=[{type: slices}]")
     assert (plan.fabrication.machine.layer, plan.fabrication.machine.price) == (0.05, 99)
-    wanted = {"dpi_x": 1016.0, "dpi_y": 1016.0, "layer": 0.05, "slicing": "diffused", "grey": None, "process": SPREAD}
+    wanted = {"dpi_x": 1016.0, "dpi_y": 1016.0, "layer": 0.05, "slicing": "diffused", "grey": None, **REST}
     assert plan.exporters[0].stage.model_dump() == wanted
 
 
 def test_an_exporters_own_options_come_before_the_machines(load: Loader) -> None:
     plan = load("fabrication={machine: sla}", "pipeline.exporters=[{type: slices, dpi_x: 300}]")
-    wanted = {"dpi_x": 300.0, "dpi_y": 1016.0, "layer": 0.025, "slicing": "diffused", "grey": None, "process": SPREAD}
+    wanted = {"dpi_x": 300.0, "dpi_y": 1016.0, "layer": 0.025, "slicing": "diffused", "grey": None, **REST}
     assert plan.exporters[0].stage.model_dump() == wanted
 
 
@@ -216,6 +217,41 @@ def test_auto_facets_need_a_machine(load: Loader) -> None:
 def test_printers_of_filament_are_refused_with_the_reason(load: Loader) -> None:
     with pytest.raises(InputError, match=r"fabrication.machine: a printer that melts filament cannot .*lcd-12k"):
         load("fabrication.machine=fdm")
+
+
+def test_profiles_say_what_is_estimated() -> None:
+    """Every profile has numbers that nobody has measured, and says which."""
+    generic = {"printing", "milling"}
+    assert {name for name, each in machines().items() if "estimate" not in each.source} == generic | {"egx-600"}
+
+
+def test_light_cures_as_deep_as_jacobs_says(load: Loader) -> None:
+    cure = "cure: {penetration: 0.2mm, critical: 10, exposure: 27.1828}"
+    flat = load(f"fabrication={{machine: sla, layer: 50um, {cure}}}").fabrication.machine
+    assert flat.cure.depth_mm == pytest.approx(0.2, rel=1e-5)
+    assert flat.growth_mm == 0.0
+    tilted = load(f"fabrication={{machine: sla, layer: 50um, {cure}, tilt: {{angle: 60deg}}}}").fabrication.machine
+    assert tilted.growth_mm == pytest.approx((0.2 - 0.05) / 2, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ("cure: {penetration: 0.2mm, critical: 10, exposure: 9}", "fabrication.cure: an exposure of 9 mJ/cm2 cures"),
+        ("cure: {penetration: 0.2mm, critical: 10}", "fabrication.cure.exposure: "),
+        ("tilt: {angle: 80deg}", "fabrication.tilt.angle: must be at most 75deg"),
+        ("tilt: {about: z}", "fabrication.tilt.about: "),
+    ],
+)
+def test_what_no_printer_does_is_refused(options: str, message: str, load: Loader) -> None:
+    with pytest.raises(InputError, match=re.escape(message)):
+        load(f"fabrication={{machine: sla, {options}}}")
+
+
+def test_slices_stand_as_the_machine_makes_them(load: Loader) -> None:
+    plan = load("fabrication={machine: sla, tilt: {about: y, angle: 20deg}}", "pipeline.exporters=[{type: slices}]")
+    assert plan.exporters[0].stage.tilt == plan.fabrication.machine.tilt
+    assert load("fabrication={machine: sla}", "pipeline.exporters=[{type: slices}]").exporters[0].stage.tilt is None
 
 
 def test_archives_for_a_screen_have_the_machines_grey(load: Loader) -> None:

@@ -274,6 +274,25 @@ def test_a_lens_larger_than_the_screen_is_refused(tmp_path: Path) -> None:
         written(Sl1(**FINE, bed=("8mm", "24mm", "50mm")), tmp_path, bumpy(None))
 
 
+TILT = {"tilt": {"about": "y", "angle": "30deg"}}
+
+
+@pytest.mark.parametrize("options", [{}, {"slicing": "diffused"}, GREY])
+def test_layers_of_a_tilted_lens_hold_it_as_it_stands(tmp_path: Path, options: dict[str, Any]) -> None:
+    solid = bumpy(None)
+    voxels, facts, centres = stack(solid, tmp_path, **FINE, **TILT, **options)
+    assert facts["tilt"] == {"about": "y", "angle_deg": 30.0}
+    stood = Slices(**TILT)._standing(solid)
+    assert facts["filled_mm3"] == pytest.approx(volume(solid), rel=5e-3)
+    some = np.random.default_rng(0).integers(voxels.size, size=600)
+    turns = winding(stood, centres.reshape(-1, 3)[some])
+    clear = abs(turns - turns.round()) < 1e-6
+    right = (voxels.reshape(-1)[some][clear] > 0) == (turns[clear] > 0.5)
+    assert right.mean() > (0.999 if not options else 0.98), "diffusion moves tops by a layer or two"
+    # the edge at -x is lifted: nothing lies on the plate there
+    assert not voxels[0, :, : voxels.shape[2] // 2].any()
+
+
 @pytest.mark.tools
 def test_prusaslicer_reads_the_settings_of_an_sl1_and_makes_the_same_screens(tmp_path: Path) -> None:
     """Its command line opens no archives, but slices the mesh with their settings, which it must all know."""

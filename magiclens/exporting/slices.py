@@ -23,6 +23,7 @@ from magiclens.exporting.archive import entry
 from magiclens.processes.diffusion import diffusion_weights
 from magiclens.processes.layers import Grey, Slicing
 from magiclens.processes.linear import LinearProcess
+from magiclens.processes.tilting import Tilt
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -58,6 +59,13 @@ class LayerStack(Exporter):
     process: LinearProcess = Field(
         {}, validate_default=True, description="what the machine evens out; error diffusion puts its noise there"
     )
+    tilt: Tilt | None = Field(
+        None, description="how the lens stands on the plate, flat if left out; supports below it are not in the layers"
+    )
+
+    def _standing(self, solid: Solid) -> Solid:
+        """The solid as it stands on the plate."""
+        return self.tilt.stood(solid) if self.tilt else solid
 
     def _grid(self, solid: Solid) -> VoxelGrid:
         """Where the voxels are. Raises InputError if the stack would be too large."""
@@ -83,16 +91,16 @@ class LayerStack(Exporter):
 
         from magiclens.exporting.voxels import grey_layers, layers
 
-        size, filled = (grid.shape[2], grid.shape[1]), 0.0
+        size, filled, flat = (grid.shape[2], grid.shape[1]), 0.0, self.tilt is None
         weights = diffusion_weights(self.process, grid.pixel_mm)
         if self.grey:
             share = self.grey.share_of_pixels()
-            for pixels, changed in grey_layers(solid, grid, self.slicing, self.grey, weights):
+            for pixels, changed in grey_layers(solid, grid, self.slicing, self.grey, weights, flat):
                 if changed:
                     filled = float(np.bincount(pixels.ravel(), minlength=256) @ share)
                 yield Image.fromarray(pixels) if changed else None, filled
         else:
-            for bitmap, changed in layers(solid, grid, self.slicing, weights):
+            for bitmap, changed in layers(solid, grid, self.slicing, weights, flat):
                 if changed:
                     filled = float(np.bitwise_count(bitmap).sum(dtype=np.int64))
                 yield Image.frombytes("1", size, bitmap.tobytes()) if changed else None, filled
@@ -152,11 +160,15 @@ class Slices(LayerStack):
 
         With error diffusion or grey, what overhangs is filled down to the bottom: a column of voxels has one height.
         """
+        solid = self._standing(solid)
         grid = self._grid(solid)
         with ZipFile(path, "w") as archive:
             filled_mm3 = self._write_layers(archive, solid, grid, _NAME)
-            facts = {**_manifest(grid, filled_mm3), "slicing": self.slicing, **self._grey_facts()}
+            facts = {**_manifest(grid, filled_mm3), "slicing": self.slicing, **self._grey_facts(), **self._tilt_facts()}
             archive.writestr(entry("manifest.json"), json.dumps(facts, indent=2) + "\n")
+
+    def _tilt_facts(self) -> dict[str, Any]:
+        return {"tilt": {"about": self.tilt.about, "angle_deg": self.tilt.angle}} if self.tilt else {}
 
     def _grey_facts(self) -> dict[str, Any]:
         if self.grey is None:
@@ -184,6 +196,7 @@ class Sl1(LayerStack):
 
     def export(self, scene: Scene, solid: Solid, path: Path) -> None:
         """Write the archive. Raises InputError if the stack would be too large, or the lens larger than the screen."""
+        solid = self._standing(solid)
         grid = self._grid(solid)
         screen = self._screen()
         if grid.shape[2] > screen[0] or grid.shape[1] > screen[1]:

@@ -67,7 +67,11 @@ class VoxelGrid:
 
 
 def layers(
-    solid: Solid, grid: VoxelGrid, slicing: Slicing = "plain", weights: FloatArray = FLOYD_STEINBERG
+    solid: Solid,
+    grid: VoxelGrid,
+    slicing: Slicing = "plain",
+    weights: FloatArray = FLOYD_STEINBERG,
+    on_plate: bool = True,
 ) -> Iterator[tuple[Bitmap, bool]]:
     """Every layer from the lowest up, and whether it differs from the one before, which the first always does.
 
@@ -79,8 +83,12 @@ def layers(
         slicing: Whether voxels are filled if their centres lie in the solid, or the heights of columns are rounded by
             error diffusion; then what overhangs is filled down to the bottom.
         weights: Of error diffusion, see ``diffusion_weights``.
+        on_plate: Whether the solid lies flat; columns of one that stands tilted begin at its lower side.
     """
-    starts, places = _crossings(solid, grid) if slicing == "plain" else _diffused(solid, grid, weights)
+    if slicing == "plain":
+        starts, places = _crossings(solid, grid)
+    else:
+        starts, places = _diffused(solid, grid, weights, on_plate)
     bitmap = np.zeros((grid.shape[1], -(-grid.shape[2] // 8)), np.uint8)
     for k, (start, end) in enumerate(pairwise(starts)):
         flip(bitmap, places[start:end], grid.shape[2])
@@ -88,19 +96,26 @@ def layers(
 
 
 def grey_layers(
-    solid: Solid, grid: VoxelGrid, slicing: Slicing, grey: Grey, weights: FloatArray = FLOYD_STEINBERG
+    solid: Solid,
+    grid: VoxelGrid,
+    slicing: Slicing,
+    grey: Grey,
+    weights: FloatArray = FLOYD_STEINBERG,
+    on_plate: bool = True,
 ) -> Iterator[tuple[NDArray[np.uint8], bool]]:
     """The same as ``layers`` in 8-bit pixels (rows, columns): 255 where a layer is whole, less on top of columns.
 
     What overhangs is filled down to the bottom. ``grey`` says how exposure and height go together.
     """
     values, shares = grey.steps()
-    order, starts = _by_top(_tops(solid, grid, slicing, weights, shares), grid.shape[0] * len(shares))
+    tops = _tops(solid, grid, slicing, weights, shares)
+    order, starts = _by_top(tops, grid.shape[0] * len(shares))
+    begun, begins = _by_top(_feet(solid, grid, tops, len(shares), on_plate), grid.shape[0])
     layer = np.zeros(grid.shape[1:], np.uint8)
-    layer.ravel()[order[starts[1] :]] = 255  # columns that are not empty
     for k in range(grid.shape[0]):
         first = k * len(shares)
-        changed = k == 0
+        layer.ravel()[begun[begins[k] : begins[k + 1]]] = 255
+        changed = k == 0 or begins[k + 1] > begins[k]
         for step, value in enumerate(values):  # columns that end in this layer
             ends = order[starts[first + step] : starts[first + step + 1]]
             layer.ravel()[ends] = value
@@ -112,9 +127,15 @@ def grey_layers(
         yield layer, changed
 
 
-def _diffused(solid: Solid, grid: VoxelGrid, weights: FloatArray) -> tuple[IntArray, IntArray]:
+def _diffused(solid: Solid, grid: VoxelGrid, weights: FloatArray, on_plate: bool) -> tuple[IntArray, IntArray]:
     """The same as ``_crossings`` for columns whose heights are rounded by error diffusion."""
-    order, starts = _by_top(_tops(solid, grid, "diffused", weights), grid.shape[0])
+    tops = _tops(solid, grid, "diffused", weights)
+    if not on_plate:
+        feet = _feet(solid, grid, tops, 1, on_plate)
+        filled = np.flatnonzero(feet < tops)
+        events, starts = _by_top(np.concatenate([feet[filled], tops[filled]]), grid.shape[0])
+        return starts[:-1], filled[events % max(len(filled), 1)].astype(np.int32)
+    order, starts = _by_top(tops, grid.shape[0])
     # columns that are not empty begin in the lowest layer; each then ends in the layer above its last
     below = starts[1:-1]
     places = np.concatenate([order[below[0] :], order[below[0] : below[-1]]])
@@ -132,6 +153,26 @@ def _tops(
     tops = tops_of(heights, grid.layer_mm, slicing, shares, weights)
     # diffusion may put a column above the highest layer
     return np.minimum(tops, grid.shape[0] * len(shares)).ravel()
+
+
+def _feet(solid: Solid, grid: VoxelGrid, tops: IntArray, steps: int, on_plate: bool) -> IntArray:
+    """(rows * columns,) the layer in which each column begins; the number of layers for columns that are empty.
+
+    Args:
+        solid: The solid.
+        grid: Where its voxels are.
+        tops: (rows * columns,), see ``_tops``.
+        steps: Number of tops that a layer has.
+        on_plate: See ``layers``.
+    """
+    from magiclens.geometry.columns import top_heights
+
+    feet = np.zeros(len(tops), np.int32)
+    if not on_plate:
+        upside_down = Solid(solid.vertices * (1, 1, -1), solid.faces)
+        lower = -top_heights(upside_down, grid.columns_mm(), grid.rows_mm()).ravel()
+        feet = np.ceil((np.nan_to_num(lower, nan=np.inf) - grid.first_mm[2]) / grid.layer_mm).clip(0, grid.shape[0])
+    return np.where((tops > 0) & (feet * steps < tops), feet, grid.shape[0]).astype(np.int32)
 
 
 def _by_top(tops: IntArray, highest: int) -> tuple[IntArray, IntArray]:

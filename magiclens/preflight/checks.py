@@ -27,9 +27,10 @@ from magiclens.preflight.machine import (
 from magiclens.preflight.mesh_file import mesh_files, read_mesh_file
 from magiclens.preflight.picture import CHECKED_VIEWS, check_orientation, check_source_resolution
 from magiclens.preflight.placing import check_placing
+from magiclens.preflight.stairs import check_stairs
 from magiclens.preflight.triangles import TopTriangles, top_triangles, trace_triangles_for_views
 from magiclens.preflight.verdict import verdict_of
-from magiclens.profiles.machines import Machine, Mill
+from magiclens.profiles.machines import Machine, Mill, Printer
 from magiclens.profiles.materials import materials
 
 
@@ -80,6 +81,7 @@ def run_preflight(folder: Path, manifest: Mapping[str, Any], plan: Plan, solid: 
         check_fresnel_loss(top, lens, traced),
         check_total_reflection(top, lens, traced),
         *([check_detail(lens, machine)] if machine else []),
+        *([check_stairs(file, top, lens, machine)] if isinstance(machine, Printer) else []),
         *([check_tool_reach(file, top, lens, machine)] if isinstance(machine, Mill) else []),
         check_bed(file, machine),
         check_material(file, machine, materials().get(plan.spec.lens.material or "")),

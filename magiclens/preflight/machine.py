@@ -42,8 +42,13 @@ def check_thickness(file: MeshFile, top: TopTriangles, lens: Lens, machine: Mach
 
 
 def check_bed(file: MeshFile, machine: Machine | None) -> Finding:
-    """Compare the body with the machine's bed, on which it may be turned by a quarter; mills can make it in tiles."""
+    """Compare the body, as it stands, with the machine's bed, on which it may be turned by a quarter.
+
+    Mills can make it in tiles.
+    """
     sides = np.diff(file.extent_mm, axis=0)[0]
+    if isinstance(machine, Printer) and machine.tilt:
+        sides = machine.tilt.box_mm(sides)
     extent = f"{sides[0]:.4g} x {sides[1]:.4g} x {sides[2]:.4g} mm"
     if machine is None:
         return Finding("bed", "grey", f"{extent}; no machine is named")

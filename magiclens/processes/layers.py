@@ -10,9 +10,12 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from magiclens.contract.artifacts import FloatArray, IntArray
 from magiclens.processes.diffusion import FLOYD_STEINBERG
+from magiclens.processes.linear import LinearProcess
 
 Slicing = Literal["plain", "diffused"]
 """``plain`` rounds every column of pixels by itself, as slicers do; ``diffused`` passes errors on to its neighbours."""
+_WAVES = 40
+"""Waves of a saw tooth that count."""
 WHOLE_LAYERS = np.zeros(1)
 """The shares of layers that a machine without grey makes: none but whole ones, see ``Grey.shares``."""
 
@@ -107,3 +110,31 @@ def layers_of_tops(tops: IntArray, shares: FloatArray = WHOLE_LAYERS) -> FloatAr
     """Heights of tops, in layers, float64; arguments as of ``tops_of``."""
     whole, step = np.divmod(tops, len(shares))
     return np.asarray(whole + shares[step])
+
+
+def stair_slopes(
+    process: LinearProcess, layer_mm: float, pixel_mm: tuple[float, float], gradients: FloatArray
+) -> FloatArray:
+    """How far slopes are off, rms, because layers are rounded plainly.
+
+    A slope becomes stairs: what is missing or too much is a saw tooth, whose n-th wave is n times as short as a step
+    and 1 / (pi n) of a layer high. It is sampled by the columns of pixels; of a wave that is shorter than two of them
+    the columns show a longer one (aliasing). The process leaves its share of that.
+
+    Args:
+        process: What evens the surface out.
+        layer_mm: Height of a layer.
+        pixel_mm: Width and depth of a column of pixels.
+        gradients: (..., 2) rise of the surface along x and along y, against the layers.
+
+    Returns:
+        (...) float64.
+    """
+    pixel = np.array(pixel_mm)
+    cycles = gradients * pixel / layer_mm
+    squares = np.zeros(gradients.shape[:-1])
+    for n in range(1, _WAVES + 1):
+        seen = n * cycles - np.rint(n * cycles)  # per pixel, of the wave that the columns show
+        waves = np.hypot(*np.moveaxis(2 * np.pi * seen / pixel, -1, 0))
+        squares += (layer_mm / (np.pi * n) * waves * process.kept(waves)) ** 2 / 2
+    return np.sqrt(squares)

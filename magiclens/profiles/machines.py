@@ -13,8 +13,10 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from magiclens.contract.artifacts import FloatArray, Lens
 from magiclens.contract.units import ANGLE, LENGTH, Angle, Length
+from magiclens.processes.curing import Cure
 from magiclens.processes.layers import WHOLE_LAYERS, Grey, Slicing
 from magiclens.processes.linear import LinearProcess
+from magiclens.processes.tilting import Tilt
 from magiclens.profiles.data import read_data
 
 _REFUSED = "refused"
@@ -150,6 +152,8 @@ class Printer(Machine):
         "plain", description="how heights become layers: plain rounding, as slicers do it, or error diffusion"
     )
     grey: Grey | None = Field(None, description="pixels that are exposed in steps; black and white only if left out")
+    cure: Cure | None = Field(None, description="how deep its light cures the resin")
+    tilt: Tilt | None = Field(None, description="how the part stands on the plate; flat on it if left out")
 
     @field_validator("dpi")
     @classmethod
@@ -172,9 +176,28 @@ class Printer(Machine):
     def linear_process(self) -> LinearProcess:
         """See ``Printer``."""
         # two Gaussians in a row are one whose variance is the sum of theirs
-        spread = math.hypot(self.blur, self.polish)
-        levelling = self.lacquer.wavelength_mm if self.lacquer else 0.0
-        return LinearProcess(spread=LENGTH.text(round(spread, 6)), levelling=LENGTH.text(round(levelling, 6)))
+        return _linear(math.hypot(self.blur, self.polish), self.lacquer)
+
+    @property
+    def spreading(self) -> LinearProcess:
+        """What the machine itself leaves of a surface, without the finish."""
+        return _linear(self.blur)
+
+    @property
+    def finish(self) -> LinearProcess:
+        """What the finish alone leaves of a surface."""
+        return _linear(self.polish, self.lacquer)
+
+    @property
+    def growth_mm(self) -> float:
+        """How much thicker a tilted part becomes, since light cures resin below its flat side, see ``Cure``.
+
+        That side is where supports stand, too; it is sanded flat or lies on its sheet, where light hardly bends any
+        more. A part that lies flat on the plate has no resin below it.
+        """
+        if self.cure is None or self.tilt is None:
+            return 0.0
+        return self.cure.below_mm(self.layer) * math.cos(math.radians(self.tilt.angle))
 
     def integrator(self, wall_mm: float, cells: str) -> dict[str, Any]:
         """The process, through which a top of vertical cells is refined as one surface."""
@@ -193,9 +216,15 @@ class Printer(Machine):
         """Options for slices at the machine's own resolution."""
         slices: dict[str, Any] = {"dpi_x": self.dpi[0], "dpi_y": self.dpi[1], "layer": LENGTH.text(self.layer)}
         slices |= {"slicing": self.slicing, "process": self.linear_process.model_dump(mode="json")}
-        if self.grey:
-            slices["grey"] = self.grey.model_dump(mode="json")
+        for key, part in (("grey", self.grey), ("tilt", self.tilt)):
+            if part:
+                slices[key] = part.model_dump(mode="json")
         return {"slices": slices, "sl1": {**slices, "bed": [LENGTH.text(side) for side in self.bed]}}
+
+
+def _linear(spread: float, lacquer: Lacquer | None = None) -> LinearProcess:
+    levelling = lacquer.wavelength_mm if lacquer else 0.0
+    return LinearProcess(spread=LENGTH.text(round(spread, 6)), levelling=LENGTH.text(round(levelling, 6)))
 
 
 class Mill(Machine):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from magiclens.contract.artifacts import FloatArray, Solid
 from magiclens.geometry.solid import solid_from_raster
 from magiclens.processes.diffusion import diffusion_weights
 from magiclens.processes.layers import layers_of_tops, tops_of
+from magiclens.processes.linear import LinearProcess
 from magiclens.profiles.machines import Printer
 
 Columns = tuple[FloatArray, FloatArray, FloatArray]
@@ -23,14 +25,29 @@ def as_printed(solid: Solid, printer: Printer) -> Solid:
 
     A column of pixels gets layers by its height, see ``tops_of``. Material then spreads sideways, and the finish
     evens the surface out, see ``LinearProcess``. Undercuts fill with support and are lost. The grid's cells are
-    vertical (``eye_mm`` is None), and the solid's sides are part of it.
+    vertical (``eye_mm`` is None), and the solid's sides are part of it. A part that is printed tilted is turned back
+    before its finish; its flat side is taken as flat, see ``Printer.growth_mm``.
     """
-    return _evened(in_layers(solid, printer), printer, _pixels(solid, printer))
+    return _finished(in_layers, solid, printer)
 
 
 def without_layers(solid: Solid, printer: Printer) -> Solid:
     """The same for layers of no height: all that a printer does to a solid but rounding."""
-    return _evened(_columns(solid, printer), printer, _pixels(solid, printer))
+    return _finished(_columns, solid, printer)
+
+
+def _finished(columns_of: Callable[[Solid, Printer], Columns], solid: Solid, printer: Printer) -> Solid:
+    if printer.tilt is None:
+        return _evened(columns_of(solid, printer), printer.linear_process, _pixels(solid, printer))
+    stood, tilt = printer.tilt.stood(solid), printer.tilt
+    pixels = _pixels(stood, printer)
+    z, x, y = columns_of(stood, printer)
+    spread = printer.spreading.of(z, pixels) + tilt.lowest_mm(solid)
+    axis = 1 if tilt.about == "x" else 0
+    turned = _middles(solid, axis, pixels[axis])[2:-2]  # at either end, the outermost pixels have too little
+    raster = (x, turned[::-1]) if axis == 1 else (turned, y)
+    lying = np.maximum(tilt.lying(spread, x, y, raster), 0.0) + printer.growth_mm
+    return _evened((lying, *raster), printer.finish, pixels)
 
 
 def in_layers(solid: Solid, printer: Printer) -> Columns:
@@ -48,9 +65,9 @@ def _columns(solid: Solid, printer: Printer) -> Columns:
     return np.nan_to_num(top_heights(solid, x, y[::-1]), nan=0.0), x, y[::-1]
 
 
-def _evened(columns: Columns, printer: Printer, pixels: tuple[float, float]) -> Solid:
+def _evened(columns: Columns, process: LinearProcess, pixels: tuple[float, float]) -> Solid:
     z, x, y = columns
-    even = printer.linear_process.of(z, pixels)
+    even = process.of(z, pixels)
     # the surface is smooth now: every second pixel says all of it
     every = math.ceil(math.sqrt(even.size / _MOST_POINTS))
     return solid_from_raster(x[::every], y[::every], np.ascontiguousarray(even[::every, ::every]))
