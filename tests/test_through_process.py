@@ -161,7 +161,6 @@ class TestRefinement:
         assert told == sorted(told)
         assert 0 <= told[0] <= told[-1] <= 1
 
-    @pytest.mark.tools
     def test_two_steps_in_turn_that_help_little_are_the_last(self, monkeypatch: pytest.MonkeyPatch) -> None:
         """Every step lowers the error by less than nine tenths, and not by less than a ten-thousandth."""
         scene, start = a_scene(), a_surface()
@@ -179,6 +178,7 @@ class TestRefinement:
             allowed = top._allowed(low + (high - low) * ramp)
             assert (allowed.min(), allowed.max()) == pytest.approx((least, most), abs=1e-5)
 
+    @pytest.mark.tools
     def test_the_integrator_uses_it_for_vertical_cells_alone(self) -> None:
         scene, start = a_scene(), a_surface()
         options = {"process": {"spread": "0.1mm"}, "refinement": 1}
