@@ -55,7 +55,7 @@ class Folder:
 
     Attributes:
         killed: The share of its mutants that was killed when last measured.
-        tests: Test files that reach it, or classes of them.
+        tests: Test files that reach it.
         compiled: False for files with kernels, which are then tried too, as plain Python.
         slowest_s: Processor time after which a test is left out, since each mutant may need it.
     """
@@ -69,15 +69,9 @@ class Folder:
 FOLDERS = {
     "optics": Folder(0.0, ["test_optics.py", "test_eyes.py"], compiled=False, slowest_s=4),
     "matching": Folder(
-        0.0,
-        ["test_matching.py", "test_darts.py", "test_multi_view.py", "test_scenarios.py", "test_secrecy.py",
-         "test_contracts.py::TestExhaustive", "test_contracts.py::TestMultiView"],
+        0.0, ["test_matching.py", "test_darts.py", "test_multi_view.py", "test_scenarios.py", "test_secrecy.py"]
     ),
-    "integration": Folder(
-        0.0,
-        ["test_integration.py", "test_refine.py", "test_through_process.py", "test_contracts.py::TestPoisson",
-         "test_contracts.py::TestLeastSquaresIntegrator"],
-    ),
+    "integration": Folder(0.0, ["test_integration.py", "test_refine.py", "test_through_process.py"]),
     "encoding": Folder(0.0, ["test_encoding.py", "test_universal_scenarios.py"]),
     "exporting": Folder(
         0.0,

@@ -369,6 +369,25 @@ def test_a_facet_is_put_where_it_costs_least(seed: int) -> None:
     assert cost <= best.fun + 1e-4
 
 
+@pytest.mark.parametrize("screening", [0.0, 0.5, 4.0])
+def test_a_facet_is_pulled_to_the_reference_plane_as_much_as_screening_weighs(screening: float) -> None:
+    """Against four neighbours that stand 1 mm high: ``4 even (c - 1) + screening c = 0``."""
+    flat, around = np.zeros((4, EDGE_POINTS)), np.zeros((4, EDGE_POINTS + 1, 2))
+    around[:, :-1, 0], around[:, -1] = 1.0, np.nan
+    height, _ = best_height(Edges(flat, flat), around, EnergyTerms(1.0, 1.0, 0.5, screening), -2.0, 2.0)
+    assert height == pytest.approx(2 / (2 + screening), abs=1e-4)
+
+
+def test_a_sweep_tells_the_greatest_change_of_a_height() -> None:
+    flat, heights = np.zeros((2, 2, 1, 4, EDGE_POINTS), np.float32), np.array([[0.2, 1.0], [1.0, 1.0]])
+    terms, errors = EnergyTerms(1.0, 1.0, 1.0, 0.0), np.zeros((2, 2, 1))
+    moved = heat_bath_sweep(
+        np.zeros((2, 2), np.int64), heights, errors, Edges(flat, flat), terms, 2.0, 0.0, np.zeros((2, 2))
+    )
+    assert moved == pytest.approx(0.8, abs=1e-3)
+    np.testing.assert_allclose(heights, 1.0, atol=1e-3)
+
+
 def test_a_facet_is_put_within_its_bounds() -> None:
     flat, far = np.zeros((4, EDGE_POINTS)), np.full((4, EDGE_POINTS + 1, 2), 3.0)
     height, _ = best_height(Edges(flat, flat), far, EnergyTerms(1.0, 1.0, 1.0, 0.0), -0.5, 0.5)
