@@ -27,10 +27,12 @@ def independent() -> ModuleType:
 
 
 @pytest.mark.sweep
-@pytest.mark.parametrize("name", ["printed-single", "printed-rotating", "printed-universal"])
+@pytest.mark.parametrize("name", ["printed-single", "printed-rotating", "printed-universal", "printed-lcd"])
 def test_an_independent_print_shows_what_the_simulation_foresees(
     name: str, tmp_path: Path, independent: ModuleType
 ) -> None:
-    run_spec(SPECS / f"{name}.yaml", tmp_path / "run", ["report.analyses=[as-made]"])
+    # printers with a screen read other archives, whose layers are the same
+    files = "pipeline.exporters=[{type: stl}, {type: slices}]"
+    run_spec(SPECS / f"{name}.yaml", tmp_path / "run", ["report.analyses=[as-made]", files])
     for slicing, (shown_db, foreseen_db) in independent.compare(open_run(tmp_path / "run")).items():
         assert shown_db == pytest.approx(foreseen_db, abs=1.0), slicing
