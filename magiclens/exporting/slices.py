@@ -96,9 +96,10 @@ class LayerStack(Exporter):
         if self.grey:
             share = self.grey.share_of_pixels()
             for pixels, changed in grey_layers(solid, grid, self.slicing, self.grey, weights, flat):
+                image = Image.fromarray(pixels)
                 if changed:
-                    filled = float(np.bincount(pixels.ravel(), minlength=256) @ share)
-                yield Image.fromarray(pixels) if changed else None, filled
+                    filled = float(np.array(image.histogram()) @ share)
+                yield image if changed else None, filled
         else:
             for bitmap, changed in layers(solid, grid, self.slicing, weights, flat):
                 if changed:
@@ -248,12 +249,12 @@ class Sl1(LayerStack):
 
 def _on_screen(image: Image, screen: tuple[int, int]) -> Image:
     """A layer, mirrored left to right, in the middle of a dark screen."""
-    from PIL import Image, ImageOps
+    from PIL import Image
 
-    whole = Image.new("L", screen)
-    corner = ((screen[0] - image.width) // 2, (screen[1] - image.height) // 2)
-    whole.paste(ImageOps.mirror(image.convert("L")), corner)
-    return whole
+    whole = np.zeros(screen[::-1], np.uint8)
+    left, top = (screen[0] - image.width) // 2, (screen[1] - image.height) // 2
+    whole[top : top + image.height, left : left + image.width] = np.asarray(image.convert("L"))[:, ::-1]
+    return Image.fromarray(whole)
 
 
 def _ini(settings: dict[str, object]) -> str:
