@@ -29,7 +29,7 @@ def _comparison(peer: str, side: int, continuity: float, missing: tuple[str, ...
     right = rng.normal(size=(side, side))
     right -= right.mean()
     matrix = _matrix(weights, side)
-    ours = lambda: solve_weighted(right, weights, _SCREENING, np.zeros_like(right))  # noqa: E731
+    ours = lambda: solve_weighted(right, weights, _SCREENING)  # noqa: E731
     solve = _multigrid(matrix, right) if peer == "pyamg" else lambda: _direct(matrix, right)
     walls = "" if continuity == 1.0 else f", edges across walls {continuity:g} times as heavy"
 

@@ -16,7 +16,7 @@ from magiclens.contract.stages import Integrator
 from magiclens.geometry.facets import EDGE_POINTS, built_drifts, edge_models
 from magiclens.geometry.solid import solid_from_heights
 from magiclens.integration.iterate import iterate
-from magiclens.integration.least_squares import LeastSquaresIntegrator
+from magiclens.integration.least_squares import LeastSquaresIntegrator, solve_weighted
 from magiclens.integration.levels import levels_of_least_lost_light, levels_of_least_steps
 from magiclens.integration.orientation import edge_rises
 from magiclens.integration.poisson import Poisson, lenslets
@@ -408,6 +408,20 @@ def test_least_squares_trades_slopes_for_continuity() -> None:
     built = [LeastSquaresIntegrator(continuity=c).integrate(scene, assignment) for c in (0.01, 1.0, 100.0)]
     steps = [heights.metrics["step_mean_mm"] for heights in built]
     assert steps[0] > 2 * steps[1] > 20 * steps[2]
+
+
+@pytest.mark.parametrize("walls", [3.0, 50.0], ids=["even", "walls"])
+def test_heights_solve_the_weighted_system(walls: float) -> None:
+    weights = np.where(np.arange(11) % 4 == 3, walls, 3.0)
+    ends = np.concatenate([[0.0], weights, [0.0]])
+    line = np.diag(ends[:-1] + ends[1:]) - np.diag(weights, 1) - np.diag(weights, -1)
+    right = np.random.default_rng(0).normal(size=(12, 12))
+    heights = solve_weighted(right, weights, 1e-3)
+    np.testing.assert_allclose(line @ heights + heights @ line + 1e-3 * heights, right, atol=1e-10)
+    right -= right.mean()
+    heights = solve_weighted(right, weights, 0.0)
+    np.testing.assert_allclose(line @ heights + heights @ line, right, atol=1e-10)
+    assert abs(heights.mean()) < 1e-10
 
 
 def test_options_are_checked() -> None:

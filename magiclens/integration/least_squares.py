@@ -8,15 +8,15 @@ import numpy as np
 from pydantic import Field
 
 from magiclens.contract.artifacts import Assignment, FloatArray, HeightField, Scene
-from magiclens.contract.errors import StageError
 from magiclens.contract.stages import Integrator, Progress, silent
-from magiclens.integration.laplacian import cosines, divergence
+from magiclens.integration.laplacian import divergence
 
 
 class LeastSquaresIntegrator(Integrator):
     """Slopes of every micro-facet and coincidence of every pair of facing vertices, weighed against each other."""
 
     type: ClassVar[str] = "least-squares"
+    version: ClassVar[str] = "2"
 
     continuity: float = Field(
         1.0,
@@ -37,66 +37,53 @@ class LeastSquaresIntegrator(Integrator):
         weights = np.ones(n * k - 1)
         weights[k - 1 :: k] = self.continuity
 
-        def solve(rows: FloatArray, columns: FloatArray, heights: FloatArray, _: int) -> FloatArray:
+        def solve(rows: FloatArray, columns: FloatArray, _: FloatArray, __: int) -> FloatArray:
             # edges across walls ask for no rise: facing vertices shall coincide
             # the padding is the rise 0 of those edges; beyond the last facet there is none, so it is cut off
             wide = _join(np.pad(rows.reshape(n, n, k, k - 1), ((0, 0),) * 3 + ((0, 1),)))[:, :-1]
             tall = _join(np.pad(columns.reshape(n, n, k - 1, k), ((0, 0),) * 2 + ((0, 1), (0, 0))))[:-1]
             right = divergence(weights * wide, weights[:, None] * tall)
-            grid = solve_weighted(right, weights, self.screening, _join(heights))
+            grid = solve_weighted(right, weights, self.screening)
             return grid.reshape(n, k, n, k).transpose(0, 2, 1, 3)
 
         return iterate(scene, assignment, solve, self.rounds, self.tolerance, progress)
 
 
-def solve_weighted(right: FloatArray, weights: FloatArray, screening: float, start: FloatArray) -> FloatArray:
+def solve_weighted(right: FloatArray, weights: FloatArray, screening: float) -> FloatArray:
     """Solve ``(L + screening) z = right`` on a grid whose Laplacian L has weighted edges.
 
-    By conjugate gradients, preconditioned by the unweighted Laplacian, which the cosine transform inverts; the
-    condition number is at most the largest weight over the smallest.
+    Weights are the same along both axes, so the Laplacian of the grid is that of a line along one axis plus that along
+    the other, and the eigenvectors of the line make it diagonal. With equal weights these are cosines.
 
     Args:
         right: (g, g).
         weights: (g - 1,), of the edges between lines i and i + 1 in either direction.
         screening: weight of the squared heights.
-        start: (g, g) heights to begin with, mm.
 
     Returns:
-        (g, g) heights z, mm.
-
-    Raises:
-        StageError: the iteration does not converge, because the weights differ too much.
+        (g, g) heights z, mm; of zero mean where nothing else holds their mean.
     """
     from scipy.fft import dctn, idctn
-    from scipy.sparse.linalg import LinearOperator, cg
+    from scipy.linalg import eigh_tridiagonal
 
-    g = len(start)
-    # the constant part has no slope: only the screening holds it, and it starts at zero
-    diagonal = cosines(g)[1] * float(np.sqrt(weights.max() * weights.min())) + max(screening, 1e-12)
-
-    def apply(z: FloatArray) -> FloatArray:
-        z = z.reshape(g, g)
-        rise = divergence(weights * np.diff(z, axis=1), weights[:, None] * np.diff(z, axis=0))
-        out: FloatArray = (rise + screening * z).ravel()
-        return out
-
-    def precondition(r: FloatArray) -> FloatArray:
-        out: FloatArray = idctn(dctn(r.reshape(g, g), norm="ortho") / diagonal, norm="ortho").ravel()
-        return out
-
-    shape = (g * g, g * g)
-    solution, failed = cg(
-        LinearOperator(shape, apply),
-        right.ravel(),
-        start.ravel(),  # the heights of the round before, from which they move little
-        rtol=1e-7,
-        maxiter=400,
-        M=LinearOperator(shape, precondition),
-    )
-    if failed:
-        raise StageError("conjugate gradients did not converge: use a smaller continuity", keys=("continuity",))
-    heights: FloatArray = solution.reshape(g, g)
+    g = len(right)
+    if np.ptp(weights) == 0:
+        line = weights[0] * (2 - 2 * np.cos(np.pi * np.arange(g) / g))
+        heights: FloatArray = idctn(_divided(dctn(right, norm="ortho"), line, screening), norm="ortho")
+        return heights
+    ends = np.concatenate([[0.0], weights, [0.0]])
+    line, modes = eigh_tridiagonal(ends[:-1] + ends[1:], -weights)
+    heights = modes @ _divided(modes.T @ right @ modes, line, screening) @ modes.T
     return heights
+
+
+def _divided(spectrum: FloatArray, line: FloatArray, screening: float) -> FloatArray:
+    """A spectrum divided by the eigenvalues of the grid, those of a line along either axis being ``line``."""
+    eigenvalues = line[:, None] + line[None, :] + screening
+    # the constant part has no slope: only the screening holds it
+    eigenvalues[0, 0] = screening or np.inf
+    divided: FloatArray = spectrum / eigenvalues
+    return divided
 
 
 def _join(parts: FloatArray) -> FloatArray:
