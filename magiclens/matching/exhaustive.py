@@ -92,10 +92,8 @@ def search_all(
         for _, sy in group:
             y = rasters.raster_axis(sy, px, window.step, size)
             taps = rasters.footprints(y, sy * px + grain, size, source.shape[1])
-            samples, means = rasters.build_raster(columns, *taps, x, y)
-            raster = rasters.Raster(
-                samples, means, sx, sy, x.spacing_mm, y.spacing_mm, x.count, y.count, x.skip, y.skip
-            )  # fmt: skip
+            built = rasters.build_raster(columns, *taps, x, y, options.pixels)
+            raster = rasters.Raster(*built, sx, sy, x.spacing_mm, y.spacing_mm, x.count, y.count, x.skip, y.skip)
             search(tiles, blocks, raster, window, not options.isotropic, optics, pool.found)
         progress((done + 1) / len(scales))
 

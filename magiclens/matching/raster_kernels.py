@@ -113,6 +113,43 @@ def block_means(plain: FloatArray, skip_y: int, skip_x: int) -> FloatArray:
     return out
 
 
+@njit(cache=True, nogil=True, fastmath=True)
+def _variations_part(part, plain, skip_y, skip_x, out):
+    """Part of the rows, see ``block_variations``."""
+    width, span_x = plain.shape[2], (BLOCK_PIXELS - 1) * skip_x
+    sums, squares = np.zeros(width), np.zeros(width)
+    for y in range(part.first, part.end):
+        for c in range(len(plain)):
+            sums[:], squares[:] = 0.0, 0.0
+            for k in range(BLOCK_PIXELS):
+                line = plain[c, y + k * skip_y]
+                for x in range(width):
+                    value = np.float64(line[x])
+                    sums[x] += value
+                    squares[x] += value * value
+            for x in range(width - span_x):
+                s = q = 0.0
+                for k in range(BLOCK_PIXELS):
+                    s += sums[x + k * skip_x]
+                    q += squares[x + k * skip_x]
+                out[y, x] += q - s * s * (1.0 / (BLOCK_PIXELS * BLOCK_PIXELS))
+
+
+def block_variations(plain: FloatArray, skip_y: int, skip_x: int) -> FloatArray:
+    """How much BLOCK_PIXELS x BLOCK_PIXELS samples from each sample on vary: squares around their mean, summed.
+
+    Args:
+        plain: (C, Y, X) float32.
+        skip_y, skip_x: samples from one of the summed samples to the next.
+
+    Returns:
+        (Y, X) float64, as differences of large sums are taken; 0 where a block would leave the raster.
+    """
+    out = np.zeros(plain.shape[1:])
+    in_threads(_variations_part, max(plain.shape[1] - (BLOCK_PIXELS - 1) * skip_y, 0), plain, skip_y, skip_x, out)
+    return out
+
+
 @njit(cache=True, nogil=True)
 def _split_part(part, plain, out):
     """Part of the rows of all channels, see ``split``."""
