@@ -25,6 +25,9 @@ from magiclens.optics.walls import (
     UP,
     Edges,
     EnergyTerms,
+    _bisect,
+    _fill_lane,
+    _room,
     best_height,
     heat_bath_sweep,
     surroundings,
@@ -386,6 +389,19 @@ def test_a_sweep_tells_the_greatest_change_of_a_height() -> None:
     )
     assert moved == pytest.approx(0.8, abs=1e-3)
     np.testing.assert_allclose(heights, 1.0, atol=1e-3)
+
+
+def test_heights_sought_side_by_side_are_those_sought_one_by_one() -> None:
+    """Bit by bit: which candidates are weighed together must make no difference."""
+    rng, terms, reach = np.random.default_rng(5), EnergyTerms(1.0, 1.5, 0.02, 1e-4), 1.5
+    facets, lanes = [random_facet(rng) for _ in range(9)], _room(EDGE_POINTS, 9)
+    around = facets[0][1]
+    around[2] = np.nan
+    for m, (own, _) in enumerate(facets):
+        _fill_lane(lanes, m, own, terms, reach)
+    _bisect(lanes, 9, around, terms)
+    assert lanes.height.tolist() == [best_height(own, around, terms, -reach, reach)[0] for own, _ in facets]
+    assert len(set(lanes.height.tolist())) == 9
 
 
 def test_a_facet_is_put_within_its_bounds() -> None:

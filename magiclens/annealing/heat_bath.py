@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import Field
 
-from magiclens.contract.artifacts import Assignment, Candidates, Scene
+from magiclens.contract.artifacts import Assignment, Candidates, FloatArray, IntArray, Scene
 from magiclens.contract.stages import Annealer, Progress, silent
 
 _COLD_SWEEPS = 10
@@ -42,7 +42,7 @@ class HeatBath(Annealer):
             One candidate per facet. The energies in ``metrics`` are per facet, in mean squared display values.
         """
         from magiclens.geometry.facets import cost_of_lost_light, edge_models
-        from magiclens.optics.walls import EnergyTerms, heat_bath_sweep, total_energy
+        from magiclens.optics.walls import EnergyTerms, total_energy
 
         n = scene.lens.facets
         edges = edge_models(scene, candidates.offsets_mm, candidates.maps)
@@ -55,14 +55,19 @@ class HeatBath(Annealer):
         first, first_levels = errors.argmin(axis=-1), np.zeros((n, n))
         only_first = np.where(np.arange(errors.shape[-1]) == first[..., None], errors, np.inf)
         for _ in range(self.sweeps):
-            heat_bath_sweep(first, first_levels, only_first, edges, terms, relief, 0.0, np.zeros((n, n)))
+            if not _sweep(first, first_levels, only_first, edges, terms, relief, 0.0, np.zeros((n, n))):
+                break
         before = float(total_energy(first, first_levels, errors, edges, terms).sum())
 
         choice, levels = first.copy(), first_levels.copy()
         falling = self.temperature * (1 - np.arange(self.sweeps) / self.sweeps) ** 2
         temperatures = np.concatenate([falling, np.zeros(_COLD_SWEEPS)])
+        settled = False
         for done, temperature in enumerate(temperatures):
-            heat_bath_sweep(choice, levels, errors, edges, terms, relief, temperature, rng.random((n, n)))
+            dice = rng.random((n, n))  # drawn even if not used, for whoever draws next
+            if not settled:
+                moved = _sweep(choice, levels, errors, edges, terms, relief, temperature, dice)
+                settled = temperature == 0 and not moved
             progress((done + 1) / len(temperatures))
         after = float(total_energy(choice, levels, errors, edges, terms).sum())
         if after > before:
@@ -76,3 +81,11 @@ class HeatBath(Annealer):
             "energy_even": float(even),
         }
         return Assignment.pick(candidates, choice, metrics)
+
+
+def _sweep(choice: IntArray, levels: FloatArray, *others: Any) -> bool:
+    """One ``heat_bath_sweep``; whether it changed anything. At temperature 0, no later sweep does once one does not."""
+    from magiclens.optics.walls import heat_bath_sweep
+
+    before = choice.copy()
+    return heat_bath_sweep(choice, levels, *others) > 0 or not np.array_equal(choice, before)

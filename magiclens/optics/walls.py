@@ -26,6 +26,12 @@ DOWNWARD, RIGHTWARD = (0, -1, 0, 1), (1, 0, -1, 0)
 """Rows and columns from a facet to its neighbour across each edge; to the diagonal facet, those of two edges."""
 
 
+_BISECTIONS = 18
+"""Halvings of the range of heights: to 4e-5 mm of 10 mm."""
+_FEW = 4
+"""So many candidates are not worth the trouble of looking for their heights side by side."""
+
+
 class Edges(NamedTuple):
     """Facets' edges, Q points each.
 
@@ -54,19 +60,48 @@ class EnergyTerms(NamedTuple):
     screening: float
 
 
-@njit(cache=True, inline="always")
-def _pull(step, outward, inward, loss, even):
-    """Energy of a step (own height minus neighbour's) and its derivative: one-sided loss plus ``even`` * step^2."""
-    rate = loss * outward if step > 0.0 else -loss * inward
-    return rate * step + even * step * step, rate + 2.0 * even * step
-
-
 @njit(cache=True)
 def _corner(profile, drift, e):
     """Height of a facet's corner, and the product of its drifts toward both edges."""
     f, last = (e + 1) % 4, profile.shape[1] - 1
     p, q = last if e in (RIGHT, DOWN) else 0, last if e in (RIGHT, UP) else 0
     return 0.5 * (profile[e, p] + profile[f, q]), drift[e, p] * drift[f, q]
+
+
+@njit(cache=True)
+def _slope(c, own, corners, around, terms):
+    """Derivative of the energy of ``best_height`` at a height c; corners: (4, 2), see ``_corner``."""
+    points = own.profiles.shape[1]
+    width, area, even = terms.loss / terms.pitch, terms.loss / terms.pitch**2, terms.even
+    slope = 2.0 * terms.screening * c
+    for e in range(4):
+        if not np.isnan(around[e, 0, 0]):
+            for q in range(points):
+                step = own.profiles[e, q] + c - around[e, q, 0]
+                rate = width * own.drifts[e, q] if step > 0.0 else -width * around[e, q, 1]
+                slope += (rate + 2.0 * even * step) / points
+        if not np.isnan(around[e, points, 0]):
+            step = corners[e, 0] + c - around[e, points, 0]
+            slope += 2.0 * (area * (corners[e, 1] if step > 0.0 else around[e, points, 1])) * step
+    return slope
+
+
+@njit(cache=True)
+def _cost(c, own, corners, around, terms):
+    """The energy of ``best_height`` at a height c; corners: (4, 2), see ``_corner``."""
+    points = own.profiles.shape[1]
+    width, area, even = terms.loss / terms.pitch, terms.loss / terms.pitch**2, terms.even
+    cost = terms.screening * c * c
+    for e in range(4):
+        if not np.isnan(around[e, 0, 0]):
+            for q in range(points):
+                step = own.profiles[e, q] + c - around[e, q, 0]
+                rate = width * own.drifts[e, q] if step > 0.0 else -width * around[e, q, 1]
+                cost += (rate * step + even * step * step) / points
+        if not np.isnan(around[e, points, 0]):
+            step = corners[e, 0] + c - around[e, points, 0]
+            cost += area * (corners[e, 1] if step > 0.0 else around[e, points, 1]) * step * step
+    return cost
 
 
 @njit(cache=True)
@@ -84,30 +119,102 @@ def best_height(own, around, terms, low, high):
         low, high: bounds of the height, mm.
     """
     a, b = low, high
-    points = own.profiles.shape[1]
-    width, area = terms.loss / terms.pitch, terms.loss / terms.pitch**2
-    c, cost = 0.0, 0.0
-    for _ in range(18):
+    corners = np.empty((4, 2))
+    for e in range(4):
+        corners[e, 0], corners[e, 1] = _corner(own.profiles, own.drifts, e)
+    for _ in range(_BISECTIONS - 1):
         c = 0.5 * (a + b)
-        slope, cost = 2.0 * terms.screening * c, terms.screening * c * c
-        for e in range(4):
-            if not np.isnan(around[e, 0, 0]):
-                for q in range(points):
-                    step = own.profiles[e, q] + c - around[e, q, 0]
-                    energy, pull = _pull(step, own.drifts[e, q], around[e, q, 1], width, terms.even)
-                    slope += pull / points
-                    cost += energy / points
-            if not np.isnan(around[e, points, 0]):
-                height, drift = _corner(own.profiles, own.drifts, e)
-                step = height + c - around[e, points, 0]
-                rate = area * (drift if step > 0.0 else around[e, points, 1])
-                slope += 2.0 * rate * step
-                cost += rate * step * step
-        if slope > 0.0:
+        if _slope(c, own, corners, around, terms) > 0.0:
             b = c
         else:
             a = c
-    return c, cost
+    c = 0.5 * (a + b)
+    return c, _cost(c, own, corners, around, terms)
+
+
+class _Lanes(NamedTuple):
+    """Some candidates of a facet whose heights are sought side by side, as processors can; the last axis is theirs.
+
+    Args:
+        profiles, rates: (4, Q, M) heights of edges, and ``loss * drift / pitch``.
+        corners: (4, 2, M) heights and products of drifts, see ``_corner``.
+        low, high, height, slope: (M,) bounds, their middle, and the energy's derivative there.
+    """
+
+    profiles: FloatArray
+    rates: FloatArray
+    corners: FloatArray
+    low: FloatArray
+    high: FloatArray
+    height: FloatArray
+    slope: FloatArray
+
+
+@njit(cache=True)
+def _room(points, most):
+    """Room for so many candidates side by side."""
+    return _Lanes(
+        np.zeros((4, points, most)), np.zeros((4, points, most)), np.zeros((4, 2, most)),
+        np.zeros(most), np.zeros(most), np.zeros(most), np.zeros(most),
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def _fill_lane(lanes, m, own, terms, reach):
+    """Make a candidate, with its edges ``own``, the m-th of those side by side."""
+    points, width = own.profiles.shape[1], terms.loss / terms.pitch
+    lanes.low[m], lanes.high[m] = -reach, reach
+    for e in range(4):
+        for q in range(points):
+            lanes.profiles[e, q, m] = own.profiles[e, q]
+            lanes.rates[e, q, m] = width * own.drifts[e, q]
+        lanes.corners[e, 0, m], lanes.corners[e, 1, m] = _corner(own.profiles, own.drifts, e)
+
+
+@njit(cache=True)
+def _add_slopes(slope, height, profile, rate, facing):
+    """Add what one point of an edge adds to the derivatives; facing: its height, rate, twice ``even``, and share."""
+    other, inward, twice, share = facing
+    for m in range(len(slope)):
+        step = profile[m] + height[m] - other
+        slope[m] += ((rate[m] if step > 0.0 else inward) + twice * step) * share
+
+
+@njit(cache=True)
+def _add_corner_slopes(slope, height, corner, facing):
+    """Add what one corner adds to the derivatives; facing: its height, product of drifts, and loss by area."""
+    other, inward, area = facing
+    for m in range(len(slope)):
+        step = corner[0, m] + height[m] - other
+        slope[m] += 2.0 * (area * (corner[1, m] if step > 0.0 else inward)) * step
+
+
+@njit(cache=True)
+def _bisect(lanes, count, around, terms):
+    """Find the heights of the first ``count`` candidates side by side: those that ``best_height`` finds, bit by bit."""
+    points = lanes.profiles.shape[1]
+    width, area = terms.loss / terms.pitch, terms.loss / terms.pitch**2
+    low, high, height, slope = lanes.low[:count], lanes.high[:count], lanes.height[:count], lanes.slope[:count]
+    share = 1.0 / points  # points are a power of two, so that this divides exactly
+    for done in range(_BISECTIONS):
+        if done > 0:
+            for m in range(count):
+                above = slope[m] > 0.0
+                high[m] = height[m] if above else high[m]
+                low[m] = low[m] if above else height[m]
+        for m in range(count):
+            height[m] = 0.5 * (low[m] + high[m])
+            slope[m] = 2.0 * terms.screening * height[m]
+        if done == _BISECTIONS - 1:
+            return
+        for e in range(4):
+            if not np.isnan(around[e, 0, 0]):
+                for q in range(points):
+                    facing = (around[e, q, 0], -width * around[e, q, 1], 2.0 * terms.even, share)
+                    _add_slopes(slope, height, lanes.profiles[e, q], lanes.rates[e, q], facing)
+            if not np.isnan(around[e, points, 0]):
+                facing_corner = (around[e, points, 0], around[e, points, 1], area)
+                _add_corner_slopes(slope, height, lanes.corners[e], facing_corner)
 
 
 @njit(cache=True)
@@ -137,6 +244,56 @@ def surroundings(i, j, choice, heights, edges, around):
             around[e, points, 0], around[e, points, 1] = height + heights[r, c], drift
 
 
+@njit(cache=True)
+def _weigh(candidates, around, terms, relief, temperature, lanes, found):
+    """Fill in the energies of a facet's candidates, inf where the heat bath would not draw one, and their best heights.
+
+    Args:
+        candidates: errors (K,), profiles (K, 4, Q) and drifts.
+        around: (4, Q + 1, 2), see ``surroundings``.
+        terms, relief, temperature: see ``heat_bath_sweep``.
+        lanes: room for K candidates.
+        found: (K,) energies and heights; the height of a candidate that is not drawn stays.
+
+    Returns:
+        The least energy.
+    """
+    (errors, profiles, drifts), (energy, level) = candidates, found
+    best, count, labels = np.inf, 0, len(errors)
+    # which, and up to where: those that may be drawn, as far as the first that is looked at can tell
+    which, known = np.empty(labels, np.int64), -1
+    for k in range(labels):
+        energy[k] = np.inf
+        if errors[k] < np.inf and errors[k] < best + 20.0 * temperature:
+            own = Edges(profiles[k], drifts[k])
+            reach = relief - np.abs(own.profiles).max()
+            if reach < 0.0:
+                continue
+            if known < 0:
+                level[k], cost = best_height(own, around, terms, -reach, reach)
+                best = energy[k] = cost + errors[k]
+                known = k
+            else:
+                which[count] = k
+                _fill_lane(lanes, count, own, terms, reach)
+                count += 1
+    if count > _FEW:
+        _bisect(lanes, count, around, terms)
+    for m in range(count):
+        k = which[m]
+        # far above the best candidate so far, the heat bath would not draw it
+        if errors[k] < best + 20.0 * temperature:
+            own = Edges(profiles[k], drifts[k])
+            if count > _FEW:
+                level[k] = lanes.height[m]
+                cost = _cost(level[k], own, lanes.corners[:, :, m], around, terms)
+            else:
+                level[k], cost = best_height(own, around, terms, lanes.low[m], lanes.high[m])
+            energy[k] = cost + errors[k]
+            best = min(best, energy[k])
+    return best
+
+
 @njit(cache=True, nogil=True)
 def _sweep_part(part, colour, state, candidates, terms, relief, chance, moved):
     """Part of the rows of a colour, see ``heat_bath_sweep``; state: choice and heights, chance: temperature and dice.
@@ -145,25 +302,23 @@ def _sweep_part(part, colour, state, candidates, terms, relief, chance, moved):
     """
     (choice, heights), (errors, edges), (temperature, dice) = state, candidates, chance
     n, _, labels = errors.shape
-    around = np.zeros((4, edges.profiles.shape[4] + 1, 2))
+    points = edges.profiles.shape[4]
+    around, lanes = np.zeros((4, points + 1, 2)), _room(points, labels)
     energy, level = np.zeros(labels), np.zeros(labels)
     for row in range(part.first, part.end):
         i = 2 * row + colour // 2
         level[:] = 0.0
         for j in range(colour % 2, n, 2):
             surroundings(i, j, choice, heights, edges, around)
-            best = np.inf
-            for k in range(labels):
-                energy[k] = np.inf
-                # far above the best candidate so far, the heat bath would not draw it
-                if errors[i, j, k] < np.inf and errors[i, j, k] < best + 20.0 * temperature:
-                    own = Edges(edges.profiles[i, j, k], edges.drifts[i, j, k])
-                    reach = relief - np.abs(own.profiles).max()
-                    if reach < 0.0:
-                        continue
-                    level[k], cost = best_height(own, around, terms, -reach, reach)
-                    energy[k] = cost + errors[i, j, k]
-                    best = min(best, energy[k])
+            best = _weigh(
+                (errors[i, j], edges.profiles[i, j], edges.drifts[i, j]),
+                around,
+                terms,
+                relief,
+                temperature,
+                lanes,
+                (energy, level),
+            )
             pick = _draw(energy, best, temperature, dice[i, j])
             moved[i] = max(moved[i], abs(heights[i, j] - level[pick]))
             choice[i, j], heights[i, j] = pick, level[pick]
