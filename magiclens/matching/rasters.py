@@ -149,7 +149,8 @@ def patch_rests(plain: FloatArray, skip_x: int, skip_y: int, pixels: int) -> Flo
     Returns:
         (Y, X) float32; meaningless where a patch would leave the raster.
     """
-    variations, total = block_variations(plain, skip_y, skip_x), np.zeros(plain.shape[1:])
+    variations = block_variations(plain, skip_y, skip_x)
+    total = np.zeros_like(variations)
     for by, bx in itertools.product(range(0, pixels, BLOCK_PIXELS), repeat=2):
         y, x = by * skip_y, bx * skip_x
         total[: len(total) - y, : total.shape[1] - x] += variations[y:, x:]
