@@ -82,7 +82,7 @@ def test_plan_says_the_estimate() -> None:
     done = CliRunner().invoke(app, ["plan", str(SPECS / "single.yaml")])
     last = done.stdout.splitlines()[-1]
     assert last.startswith("estimate ")
-    assert last.endswith(" of processor time")
+    assert last.endswith(" of processor time, lens.stl of 54.5 MB")
 
 
 @pytest.mark.parametrize(

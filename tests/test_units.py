@@ -37,7 +37,9 @@ def test_lengths_become_millimetres(text: str, mm: float) -> None:
     assert LENGTH.parse(text) == mm
 
 
-@pytest.mark.parametrize(("text", "degrees"), [("90deg", 90), ("0.02rad", 1.14591559026), ("-1.15deg", -1.15)])
+@pytest.mark.parametrize(
+    ("text", "degrees"), [("90deg", 90), ("0.02rad", 1.14591559026), ("20mrad", 1.14591559026), ("-1.15deg", -1.15)]
+)
 def test_angles_become_degrees(text: str, degrees: float) -> None:
     assert ANGLE.parse(text) == pytest.approx(degrees)
 
@@ -68,7 +70,7 @@ def test_a_bare_share_is_proposed_in_percent(number: float, proposal: str) -> No
         (LENGTH, None, "expected a length"),
         (LENGTH, [1], "expected a length"),
         (LENGTH, "1e999mm", "too large"),
-        (ANGLE, "90mm", "an angle is in deg, rad, such as '90deg'"),
+        (ANGLE, "90mm", "an angle is in deg, rad, mrad, such as '90deg'"),
         (FRACTION, "5mm", "a share is in %"),
     ],
 )

@@ -50,7 +50,7 @@ def run_command(
     with reporting(traceback):
         from magiclens.cache.folder import keep_nothing
         from magiclens.plan.compile import load_plan
-        from magiclens.running.feasible import require_feasible
+        from magiclens.running.feasible import estimate_text, require_feasible
         from magiclens.running.folder import require_same_name
         from magiclens.running.observers import Observer, terminal_observer
         from magiclens.running.pipeline import kept_run
@@ -65,8 +65,11 @@ def run_command(
         folder = out or Path("out", plan.spec.name)
         if not force:
             require_same_name(folder, plan.spec.name)
-        require_feasible(plan)
-        manifest = kept_run(plan, folder, observer) or _run(plan, spec, overrides, folder, observer)
+        needs = require_feasible(plan)
+        manifest = kept_run(plan, folder, observer)
+        if manifest is None:
+            observer.notice(estimate_text(needs))
+            manifest = _run(plan, spec, overrides, folder, observer)
         print_result(lambda: _summary(folder, manifest), lambda: {"folder": str(folder), **manifest}, quiet, as_json)
 
 

@@ -82,7 +82,7 @@ def _digits(value: float) -> str:
 LENGTH = Quantity("a length", "mm", {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3, "µm": 1e-3, "in": 25.4})
 """Lengths, in millimetres inside."""
 
-ANGLE = Quantity("an angle", "deg", {"deg": 1.0, "rad": math.degrees(1.0)})
+ANGLE = Quantity("an angle", "deg", {"deg": 1.0, "rad": math.degrees(1.0), "mrad": math.degrees(1e-3)})
 """Angles, in degrees inside."""
 
 FRACTION = Quantity("a share", "%", {"%": 0.01})
@@ -107,7 +107,7 @@ Angle = Annotated[
     PlainSerializer(ANGLE.text, return_type=str, when_used="json"),
     WithJsonSchema(_schema(ANGLE)),
 ]
-"""An angle: text such as ``90deg`` or ``0.02rad``; a float in degrees inside."""
+"""An angle: text such as ``90deg``, ``0.02rad`` or ``5mrad``; a float in degrees inside."""
 
 Fraction = Annotated[
     float,

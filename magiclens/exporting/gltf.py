@@ -10,13 +10,13 @@ from typing import Any, ClassVar
 import numpy as np
 
 from magiclens.contract.artifacts import FloatArray, IntArray, Lens, Scene, Solid
-from magiclens.contract.stages import Exporter
+from magiclens.exporting.mesh_files import MeshExporter
 
 _FLOAT, _UNSIGNED, _VERTICES, _INDICES = 5126, 5125, 34962, 34963
 """Numbers of glTF 2.0 for float32, uint32 and the two kinds of buffers."""
 
 
-class Glb(Exporter):
+class Glb(MeshExporter):
     """Binary glTF in metres with +y up, as the standard demands: the viewer of the lens looks down from above.
 
     It has no normals, so facets are shaded flat, as they are.
@@ -24,11 +24,13 @@ class Glb(Exporter):
 
     type: ClassVar[str] = "glb"
     suffix: ClassVar[str] = ".glb"
+    triangle_bytes: ClassVar[float] = 18
 
     def export(self, scene: Scene, solid: Solid, path: Path) -> None:
         """Write a JSON head, 12 V + 12 F bytes."""
-        points = _upright(solid.vertices)
-        faces = np.ascontiguousarray(solid.faces, "<u4")
+        mesh = self.mesh(scene, solid)
+        points = _upright(mesh.vertices)
+        faces = np.ascontiguousarray(mesh.faces, "<u4")
         head = json.dumps(_asset(scene.lens, points, faces), separators=(",", ":")).encode()
         # chunks are multiples of 4 bytes: JSON is padded with blanks, the body has 12 bytes for every vertex and face
         head += b" " * (-len(head) % 4)

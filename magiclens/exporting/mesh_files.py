@@ -5,8 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
+from pydantic import Field
+
 from magiclens.contract.artifacts import FloatArray, IntArray, Scene, Solid
 from magiclens.contract.stages import Exporter
+from magiclens.contract.units import Angle
+from magiclens.geometry.decimation import decimated
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -15,39 +19,67 @@ STL_HEADER = b"magiclens, binary STL, unit: millimetre".ljust(80)
 """The first 80 bytes of an STL file. They must not begin with ``solid``, by which programs know STL files of text."""
 
 
-class Stl(Exporter):
+class MeshExporter(Exporter):
+    """An exporter of the mesh, whole or with fewer triangles.
+
+    Attributes:
+        triangle_bytes: About how large a file is, by its triangles, of which there are two for every vertex.
+    """
+
+    triangle_bytes: ClassVar[float]
+
+    tolerance: Angle = Field(
+        "0deg",
+        validate_default=True,
+        ge=0,
+        le=5,
+        description="leave out triangles inside facets as long as no normal turns by more, and no vertex is farther "
+        "off than this angle times a micro-facet's width; 0deg: the whole mesh",
+    )
+
+    def mesh(self, scene: Scene, solid: Solid) -> Solid:
+        """The mesh to write."""
+        return decimated(solid, scene.lens, self.tolerance)
+
+
+class Stl(MeshExporter):
     """Binary STL: what every slicer reads. Float32 triangles, without shared vertices."""
 
     type: ClassVar[str] = "stl"
     suffix: ClassVar[str] = ".stl"
+    triangle_bytes: ClassVar[float] = 50
 
     def export(self, scene: Scene, solid: Solid, path: Path) -> None:
         """Write 84 + 50 F bytes."""
-        write_stl(solid.vertices, solid.faces, path)
+        mesh = self.mesh(scene, solid)
+        write_stl(mesh.vertices, mesh.faces, path)
 
 
-class Ply(Exporter):
+class Ply(MeshExporter):
     """Binary PLY: float32 vertices and faces that share them; less than half an STL file's size."""
 
     type: ClassVar[str] = "ply"
     suffix: ClassVar[str] = ".ply"
+    triangle_bytes: ClassVar[float] = 19
 
     def export(self, scene: Scene, solid: Solid, path: Path) -> None:
         """Write a header, 12 V + 13 F bytes."""
         from trimesh.exchange.ply import export_ply
 
-        path.write_bytes(export_ply(_mesh(solid), encoding="binary", vertex_normal=False, include_attributes=False))
+        mesh = _trimesh(self.mesh(scene, solid))
+        path.write_bytes(export_ply(mesh, encoding="binary", vertex_normal=False, include_attributes=False))
 
 
-class Obj(Exporter):
+class Obj(MeshExporter):
     """Wavefront OBJ: text, for programs that read nothing else."""
 
     type: ClassVar[str] = "obj"
     suffix: ClassVar[str] = ".obj"
+    triangle_bytes: ClassVar[float] = 46
 
     def export(self, scene: Scene, solid: Solid, path: Path) -> None:
         """Write vertices with nine decimals, so to a picometre."""
-        text = _mesh(solid).export(
+        text = _trimesh(self.mesh(scene, solid)).export(
             file_type="obj",
             include_normals=False,
             include_color=False,
@@ -66,7 +98,7 @@ def write_stl(vertices: FloatArray, faces: IntArray, path: Path) -> None:
     path.write_bytes(STL_HEADER + export_stl(Trimesh(vertices, faces, process=False))[len(STL_HEADER) :])
 
 
-def _mesh(solid: Solid) -> Trimesh:
+def _trimesh(solid: Solid) -> Trimesh:
     """The solid as trimesh takes it, with nothing merged, dropped or reordered."""
     from trimesh import Trimesh
 

@@ -10,8 +10,8 @@ from zipfile import ZipFile
 import numpy as np
 
 from magiclens.contract.artifacts import Scene, Solid
-from magiclens.contract.stages import Exporter
 from magiclens.exporting.archive import entry
+from magiclens.exporting.mesh_files import MeshExporter
 
 MODEL = "3D/3dmodel.model"
 """Where the package has its mesh."""
@@ -56,7 +56,7 @@ TRIANGLE = (b'<triangle v1="', b'" v2="', b'" v3="', b'"/>\n')
 """What is written around the numbers of each vertex and triangle."""
 
 
-class ThreeMf(Exporter):
+class ThreeMf(MeshExporter):
     """3MF: the mesh in millimetres, to the nanometre, with shared vertices; placed at the corner of the print bed.
 
     Vertices are those of the other mesh files; the build item moves them to where no coordinate is negative.
@@ -64,16 +64,18 @@ class ThreeMf(Exporter):
 
     type: ClassVar[str] = "3mf"
     suffix: ClassVar[str] = ".3mf"
+    triangle_bytes: ClassVar[float] = 13
 
     def export(self, scene: Scene, solid: Solid, path: Path) -> None:
         """Write the package, its mesh in pieces."""
+        mesh = self.mesh(scene, solid)
         # an archive must be told beforehand whether an entry may exceed 2 GiB; a row of XML has at most 120 characters
-        large = 120 * (len(solid.vertices) + len(solid.faces)) > 1 << 31
+        large = 120 * (len(mesh.vertices) + len(mesh.faces)) > 1 << 31
         with ZipFile(path, "w") as archive:
             archive.writestr(entry("[Content_Types].xml"), _TYPES)
             archive.writestr(entry("_rels/.rels"), _RELATIONS)
             with archive.open(entry(MODEL), "w", force_zip64=large) as model:
-                for part in _model(scene, solid):
+                for part in _model(scene, mesh):
                     model.write(part)
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from magiclens.contract.artifacts import FloatArray, HeightField, IntArray, Lens, Solid
+from magiclens.contract.artifacts import BoolArray, FloatArray, HeightField, IntArray, Lens, Solid
 
 
 def solid_from_heights(heights: HeightField) -> Solid:
@@ -63,6 +63,14 @@ def top_faces(rows: int, columns: int) -> IntArray:
     index = np.arange(rows * columns).reshape(rows, columns)
     tl, tr, bl, br = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
     return np.stack([tl, bl, br, tl, br, tr], axis=-1).reshape(-1, 3)
+
+
+def facet_faces(lens: Lens) -> BoolArray:
+    """(F,) whether a triangle of ``top_faces`` belongs to a facet rather than to a wall or to the rim."""
+    period = lens.microfacets + 1
+    line = np.arange(lens.facets * period + 1) - 1
+    inside = line % period != lens.microfacets
+    return np.repeat((inside[:, None] & inside).ravel(), 2)
 
 
 def grid_lines(lens: Lens) -> FloatArray:

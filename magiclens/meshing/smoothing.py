@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magiclens.contract.artifacts import FloatArray, Lens, Solid
-from magiclens.geometry.solid import top_faces
+from magiclens.geometry.solid import facet_faces, top_faces
 
 
 def smoothed(solid: Solid, lens: Lens, bound_mm: float, iterations: int) -> tuple[Solid, float]:
@@ -26,7 +26,7 @@ def smoothed(solid: Solid, lens: Lens, bound_mm: float, iterations: int) -> tupl
     """
     assert solid.grid is not None
     top = solid.vertices[: solid.grid[0] * solid.grid[1]]
-    moved = _taubin(top, top_faces(*solid.grid), _facet_faces(lens), iterations) - top
+    moved = _taubin(top, top_faces(*solid.grid), facet_faces(lens), iterations) - top
     rays = _rays(top, solid.eye_mm)
     normals = _normals(top.reshape(*solid.grid, 3)).reshape(-1, 3)
     # What counts is how far the surface moves off itself: sliding along it changes no height.
@@ -45,14 +45,6 @@ def _taubin(vertices: FloatArray, faces: NDArray[np.integer], inside: NDArray[np
     meshes.compute_selection_by_condition_per_face(condselect="fq > 0.5")
     meshes.apply_coord_taubin_smoothing(stepsmoothnum=iterations, selected=True)
     return np.asarray(meshes.current_mesh().vertex_matrix(), np.float64)
-
-
-def _facet_faces(lens: Lens) -> NDArray[np.bool_]:
-    """(F,) whether a triangle of ``top_faces`` belongs to a facet rather than to a wall or to the rim."""
-    period = lens.microfacets + 1
-    line = np.arange(lens.facets * period + 1) - 1
-    inside = line % period != lens.microfacets
-    return np.repeat((inside[:, None] & inside).ravel(), 2)
 
 
 def _rays(points: FloatArray, eye: FloatArray | None) -> FloatArray:

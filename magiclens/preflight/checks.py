@@ -70,6 +70,7 @@ def run_preflight(folder: Path, manifest: Mapping[str, Any], plan: Plan, solid: 
     # the other checks take coordinates for millimetres and need a top
     if any(finding.check == "size" and finding.status == "red" for finding in body) or not len(file.on_top):
         return Preflight(str(manifest["name"]), made_by, [shown, *body], None, verdict)
+    file = file.as_fine_as(lens)
     top = top_triangles(file, lens, eye)
     traced = trace_triangles_for_views(top.triangles, lens, views)
     findings = [

@@ -10,7 +10,7 @@ from zipfile import ZipFile
 
 import numpy as np
 
-from magiclens.contract.artifacts import FloatArray, IntArray, Solid
+from magiclens.contract.artifacts import FloatArray, IntArray, Lens, Solid
 from magiclens.exporting.digits import numbers_of
 from magiclens.exporting.three_mf import MODEL, TRIANGLE, VERTEX
 
@@ -22,6 +22,8 @@ _STL = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute",
 """A triangle of a binary STL file, 50 bytes; 80 bytes of text and the number of triangles come before them."""
 _NANOMETRE_MM = 1e-6
 """To what coordinates of 3MF are rounded."""
+_LONGEST = 2.0
+"""Longest edge of a divided triangle, in micro-facets."""
 _HASH_FACTORS = (0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9)
 """Odd numbers by which x, y and z are multiplied to hash a point."""
 
@@ -67,6 +69,21 @@ class MeshFile:
         # reversing the corners keeps the faces pointing outward
         swapped = (self.triangles * np.array([-1, 1, 1], np.float32))[:, ::-1]
         return MeshFile(self.path, np.ascontiguousarray(swapped))
+
+    def as_fine_as(self, lens: Lens) -> MeshFile:
+        """The body with large triangles of its top divided, if it has fewer than the lens has micro-facets.
+
+        Rays are followed through the middles of triangles only, so these must lie everywhere.
+        """
+        if len(self.on_top) >= 2 * (lens.facets * lens.microfacets) ** 2:
+            return self
+        from trimesh.remesh import subdivide_to_size
+
+        top = self.triangles[self.on_top].astype(np.float64)
+        longest = _LONGEST * lens.pitch_mm / lens.microfacets
+        points, faces = subdivide_to_size(top.reshape(-1, 3), np.arange(3 * len(top)).reshape(-1, 3), longest, 20)
+        others = np.delete(self.triangles, self.on_top, axis=0)
+        return MeshFile(self.path, np.concatenate([points[faces].astype(np.float32), others]))
 
     def same_as(self, solid: Solid) -> bool:
         """Whether the file holds the faces of a solid in the same order, each coordinate rounded as files round it."""

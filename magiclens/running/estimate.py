@@ -6,14 +6,15 @@ of 77 to 333 offsets a side, one part after the other. Memory is right within a 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 from magiclens.config.document import Keys
 from magiclens.config.model import LensSpec
 from magiclens.contract.artifacts import Lens
 from magiclens.encoding.least_squares import LeastSquaresEncoder
+from magiclens.exporting.mesh_files import MeshExporter
 from magiclens.integration.poisson import Poisson
 from magiclens.matching.dart_throwing import DartThrowing
 from magiclens.matching.options import LatticeOptions, MatchingOptions
@@ -54,9 +55,11 @@ class Estimate:
 
     Attributes:
         parts: Its largest parts, in the order of the run.
+        files: Bytes of each mesh file, without what a tolerance leaves out.
     """
 
     parts: tuple[Need, ...]
+    files: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def largest(self) -> Need:
@@ -84,7 +87,9 @@ def estimate(plan: Plan) -> Estimate:
     seen = _Seen.of(plan)
     rounds = (plan.spec.pipeline.codesign + 1) * (plan.spec.pipeline.rematch + 1)
     later = (*_matching(plan, seen), *_surface(plan, seen, rounds), *_looking(plan, seen))
-    return Estimate((_pictures(plan, seen), *later))
+    meshes = (step.stage for step in plan.exporters if isinstance(step.stage, MeshExporter))
+    files = {f"lens{mesh.suffix}": 2 * mesh.triangle_bytes * _grid_points(plan.lens) for mesh in meshes}
+    return Estimate((_pictures(plan, seen), *later), files)
 
 
 @dataclass(frozen=True)

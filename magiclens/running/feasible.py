@@ -64,7 +64,8 @@ def memory_bytes() -> float | None:
 
 def estimate_text(needs: Estimate) -> str:
     """A line for people."""
-    return f"estimate {size_text(needs.bytes)} of memory, {duration_text(needs.seconds)}"
+    files = "".join(f", {name} of {size_text(size)}" for name, size in needs.files.items())
+    return f"estimate {size_text(needs.bytes)} of memory, {duration_text(needs.seconds)}{files}"
 
 
 def duration_text(seconds: float) -> str:
