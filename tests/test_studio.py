@@ -116,7 +116,7 @@ ADDRESSES = [
     ("GET", "/"), ("GET", "/static/main.js"), ("GET", "/api/state"), ("GET", "/api/events"), ("POST", "/api/pictures"),
     ("DELETE", "/api/pictures/a.png"), ("POST", "/api/specs"), ("POST", "/api/jobs"),
     ("POST", "/api/jobs/0001-00000000/cancel"), ("DELETE", "/api/jobs/0001-00000000"), ("GET", "/pictures/a.png"),
-    ("GET", "/jobs/0001-00000000/spec.yaml"), ("GET", "/api/previews/a.png"),
+    ("GET", "/jobs/0001-00000000/spec.yaml"), ("GET", "/api/previews/a.png"), ("POST", "/api/forecasts"),
 ]  # fmt: skip
 
 
@@ -219,6 +219,32 @@ def test_hostile_uploads_are_refused_in_words(visit: Callable[[], Visitor], cont
     assert str(visitor.store.root) not in error["message"]
     assert visitor.store.pictures() == []
     assert not list(visitor.store.root.glob(".new-*"))
+
+
+def garbled() -> dict[str, bytes]:
+    """Pictures that were cut off, or in which bytes were changed, and files that claim to be what they are not."""
+    rng, found = np.random.default_rng(0), {}
+    for kind in ("PNG", "JPEG", "GIF", "WEBP", "TIFF", "BMP"):
+        whole = png(5, 64, kind)
+        found |= {f"{kind} cut at {share:g}": whole[: int(share * len(whole))] for share in (0.05, 0.3, 0.7)}
+        for tries in range(2):
+            content = np.frombuffer(whole, np.uint8).copy()
+            content[rng.integers(8, len(content), 20)] = rng.integers(0, 256, 20)
+            found[f"{kind} changed, {tries}"] = content.tobytes()
+        found[f"{kind} with noise"] = whole[:12] + rng.bytes(500)
+    return found
+
+
+def test_garbled_uploads_are_served_or_refused_in_words(visit: Callable[[], Visitor]) -> None:
+    visitor, uploads = visit(), garbled()
+    assert len(uploads) + len(HOSTILE) >= 40
+    for what, content in uploads.items():
+        done = visitor.client.post("/api/pictures?name=..%2F..%2Fevil.png", content=content)
+        assert done.status_code in (201, 422), what
+        assert str(visitor.store.root) not in done.text
+        assert "Traceback" not in done.text
+    assert not list(visitor.store.root.glob(".new-*"))
+    assert [path.name for path in visitor.store.root.parent.iterdir()] == ["studio"]
 
 
 def test_too_large_and_too_many_uploads_are_refused(
@@ -456,6 +482,68 @@ def test_pictures_are_previewed_as_a_spec_would_show_them(visit: Callable[[], Vi
         assert str(visitor.store.root) not in done.text
 
 
+def test_contrast_and_ground_are_previewed_and_written(visit: Callable[[], Visitor]) -> None:
+    visitor = visit()
+    ramp = Image.fromarray(np.tile(np.linspace(30, 225, 64).astype(np.uint8), (64, 1)))
+    out = io.BytesIO()
+    ramp.save(out, "PNG")
+    name = visitor.add("ramp.png", out.getvalue())
+    asked = ("contrast=0", "contrast=0.6", "ground=light", "ground=dark")
+    shown = {each: visitor.client.get(f"/api/previews/{name}?{each}").json()["picture"] for each in asked}
+    assert len(set(shown.values())) == 3
+    assert shown["ground=light"] != shown["ground=dark"]
+    order = {"pictures": [name], "contrast": 0.6, "ground": "dark", "facets": 20, "thickness": "31mm", "machine": "sla"}
+    order |= {"paper": "letter", "jig": True}
+    spec = visitor.client.post("/api/specs", json=order).json()["yaml"]
+    for words in ("levels: [", "facets: 20", "thickness: 31mm", "{type: sheet, paper: letter}", "{type: jig}"):
+        assert words in spec
+    for wrong in ("contrast=much", "contrast=1", "contrast=nan", "ground=green"):
+        assert visitor.client.get(f"/api/previews/{name}?{wrong}").status_code == 422
+
+
+def test_what_an_order_takes_is_known_before_anything_is_designed(visit: Callable[[], Visitor]) -> None:
+    visitor = visit()
+    order = {"pictures": [visitor.add()], "machine": "sla", "size": "40mm"}
+
+    def rows(**values: Any) -> dict[str, list[str]]:
+        done = visitor.client.post("/api/forecasts", json=order | values)
+        assert done.status_code == 200, done.text
+        return {label: rest for label, *rest in done.json()["rows"]}
+
+    small, large, thick = rows(), rows(size="80mm"), rows(thickness="50mm")
+    kilograms = [float(each["Material"][0].split(" kg")[0]) for each in (small, large, thick)]
+    assert kilograms[0] < min(kilograms[1:])
+    assert thick["Printing"] != small["Printing"]
+    assert "EUR" in small["Material"][0]
+    assert rows(facets=60)["Detail"][1] != "green"
+    assert small["Verdict"] == ["after the draft", ""]
+    visitor.wait(visitor.order(**order), "done")
+    assert visitor.store.jobs()
+    assert "block" not in rows(machine="milling")["Material"][0]
+    assert visitor.client.post("/api/forecasts", json=order | {"facets": 1}).status_code == 422
+    assert not list(visitor.store.root.glob(".new-*"))
+
+
+def test_an_equal_job_lends_its_verdict(visit: Callable[[], Visitor]) -> None:
+    visitor = visit()
+    order = {"pictures": [visitor.add()], "machine": "sla", "size": "40mm"}
+    job = visitor.order(**order)
+    visitor.wait(job, "done")
+    run = visitor.store.root / "jobs" / job / "full"
+    run.mkdir()
+    scene = {"views": [], "artifacts": [], "scene": {"facets": 8}, "metrics": {"tolerance_shift_x_mm": 0.25}}
+    (run / "manifest.json").write_text(json.dumps(scene))
+    verdict = {"status": "green", "text": "as printed: clear"}
+    (run / "preflight.json").write_text(json.dumps({"verdict": verdict, "checks": []}))
+    for contrast, wanted, color, tolerance in (
+        (0.0, "as printed: clear", "green", "0.25 mm"), (0.5, "after the draft", "", "after the full design")
+    ):  # fmt: skip
+        rows = visitor.client.post("/api/forecasts", json=order | {"contrast": contrast}).json()["rows"]
+        found = {label: rest for label, *rest in rows}
+        assert found["Verdict"] == [wanted, color]
+        assert tolerance in found["Tolerance"][0]
+
+
 def test_a_film_to_share_begins_with_the_sheet_and_ends_with_the_picture(tmp_path: Path) -> None:
     for name, content in (("sheet.png", png(3)), ("seen.png", png(5)), ("made.png", png(4))):
         (tmp_path / name).write_bytes(content)
@@ -494,7 +582,7 @@ def test_requests_side_by_side_are_all_answered(visit: Callable[[], Visitor]) ->
         return visitor.client.post("/api/jobs", json={"yaml": "lens: {}"}).status_code
 
     with ThreadPoolExecutor(8) as pool:
-        answers = list(pool.map(one, range(48)))
+        answers = list(pool.map(one, range(50)))
     assert set(answers) == {200, 201, 422}
     assert len({(visitor.store.root / "pictures" / n).read_bytes() for n in visitor.store.pictures()}) <= 5
 

@@ -128,7 +128,8 @@ def order(visitor: Visitor) -> Locator:
     drop(tab, "My star.jpg", photo())
     expect(tab.locator("#status")).to_have_text("my-star.png is added")
     visitor.pick("Your printer or mill", "sla")
-    visitor.pick("Side of the lens", "25mm")
+    tab.get_by_label("Side of the lens").fill("25")
+    visitor.clicks += 1  # on the slider
     expect(tab.locator("#preview canvas")).to_be_visible()
     visitor.click(tab.get_by_role("button", name="Design a draft", exact=True))
     job = tab.locator(".job").first

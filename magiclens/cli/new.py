@@ -50,7 +50,7 @@ def new_command(
 ) -> None:
     """Write a commented spec for your own PICTURES, with contrast, polarity, window and facets that suit them."""
     with reporting(traceback):
-        from magiclens.new.write import Making, crop_of, new_spec
+        from magiclens.new.write import Making, new_spec, treatment_of
 
-        new_spec(scenario, pictures, out, source, questions or (), Making(machine, size, place), crop_of(crop))
+        new_spec(scenario, pictures, out, source, questions or (), Making(machine, size, place), treatment_of(crop))
         typer.echo(f"{out}: written. Read it, change what you like, then: mlens run {out}")

@@ -18,6 +18,8 @@ from magiclens.images.tones import toned
 
 Crop = Literal["auto", "centre", "fit"]
 """How pictures are made square: as suits them, cut to their middle, or padded with white paper."""
+Ground = Literal["auto", "light", "dark"]
+"""What a picture's border is made: as suits it, light, or dark; by showing the negative where it is not so."""
 
 _SIDE_PX = 512
 """Side of the square to which a picture is resized before its strokes are measured."""
@@ -42,6 +44,25 @@ _FINE_STROKE = 1 / 30
 
 
 @dataclass(frozen=True)
+class Treatment:
+    """What a user wants done to pictures, besides what suits them.
+
+    Attributes:
+        crop: How they are made square.
+        contrast: Share of their range of tones that becomes black or white, half of it at each end; below 1.
+        ground: What their border is made.
+    """
+
+    crop: Crop = "auto"
+    contrast: float = 0.0
+    ground: Ground = "auto"
+
+
+AS_SUITS = Treatment()
+"""Nothing besides what suits a picture."""
+
+
+@dataclass(frozen=True)
 class Assessment:
     """What was found in a picture.
 
@@ -49,12 +70,13 @@ class Assessment:
         path: The picture's file.
         size: (width, height) in pixels.
         photograph: Whether it has many tones between black and white.
-        levels: Display values of its darkest and its lightest hundredth; None if they are about black and white.
-        invert: Whether it is a light drawing on a dark ground.
+        levels: Display values that become black and white: of its darkest and its lightest hundredth, or nearer to each
+            other if more contrast is wanted; None if they are about black and white.
+        invert: Whether its negative is shown, as of a light drawing on a dark ground.
         coloured: Whether it has colours.
         stroke: Mean width of what is drawn, as a share of the picture's width.
         on_black: Whether it is transparent in places and lies on black, as white paper would hide it.
-        cropping: How it is made square.
+        treatment: What the user wants done to it.
     """
 
     path: Path
@@ -65,12 +87,12 @@ class Assessment:
     coloured: bool
     stroke: float
     on_black: bool = False
-    cropping: Crop = "auto"
+    treatment: Treatment = AS_SUITS
 
     @property
     def crop(self) -> bool:
         """Whether to cut it to its middle square: a drawing can be centred on more white paper, a photograph cannot."""
-        wanted = self.photograph if self.cropping == "auto" else self.cropping == "centre"
+        wanted = self.photograph if self.treatment.crop == "auto" else self.treatment.crop == "centre"
         return wanted and self.size[0] != self.size[1]
 
     def shown(self, picture: FloatArray, side_px: int) -> FloatArray:
@@ -98,17 +120,19 @@ class Assessment:
         if self.levels:
             low, high = (f"{100 * level:.0f} %" for level in self.levels)
             found.append(f"Its tones, from {low} to {high}, are spread to black and white.")
-        if self.invert:
+        if self.invert and self.treatment.ground != "auto":
+            found.append(f"Its negative has the {self.treatment.ground} ground that was chosen.")
+        elif self.invert:
             found.append("It is light on dark; its negative has the white ground that the paper around the lens has.")
         return found
 
 
-def assess(path: Path, crop: Crop = "auto", moving: bool = False) -> Assessment:
+def assess(path: Path, treatment: Treatment = AS_SUITS, moving: bool = False) -> Assessment:
     """Assess a picture file.
 
     Args:
         path: The file.
-        crop: How it is made square.
+        treatment: What is done to it, besides what suits it.
         moving: Whether it may have several frames, of which the first is assessed.
 
     Raises:
@@ -122,13 +146,16 @@ def assess(path: Path, crop: Crop = "auto", moving: bool = False) -> Assessment:
     if high - low < _LEAST_CONTRAST:
         raise InputError(f"it shows next to nothing: its tones differ by {100 * (high - low):.0f} %", str(path))
     # scans and JPEGs are never quite black or white; 3 % does not show
-    stretched = low > 0.03 or high < 0.97
-    levels = (_percent(low), _percent(high)) if stretched else None
+    cut = treatment.contrast * (high - low) / 2
+    stretched = low > 0.03 or high < 0.97 or cut > 0
+    levels = (_percent(low + cut), _percent(high - cut)) if stretched else None
     tones = np.clip((shown - low) / (high - low), 0, 1)
     photograph = float(((tones > 0.15) & (tones < 0.85)).mean()) > _PHOTOGRAPH_SHARE
-    invert = not photograph and float(np.median(_border(tones))) < _DARK_GROUND
+    border = float(np.median(_border(tones)))
+    dark = border < (_DARK_GROUND if treatment.ground == "auto" else 0.5)
+    invert = dark and not photograph if treatment.ground == "auto" else dark == (treatment.ground == "light")
     size, on_black = (picture.shape[1], picture.shape[0]), not animated and lies_on_black(path)
-    found = Assessment(path, size, photograph, levels, invert, _colourful(picture), 0.0, on_black, crop)
+    found = Assessment(path, size, photograph, levels, invert, _colourful(picture), 0.0, on_black, treatment)
     return replace(found, stroke=_stroke(_dark(found.shown(picture, _SIDE_PX))))
 
 

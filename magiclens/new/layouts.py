@@ -33,6 +33,10 @@ class Request:
         machine: Name of the machine that makes the lens; None if it is left open.
         size_mm: Side of the lens.
         place: Where it is used.
+        facets: How many along a side, if the user has said so.
+        thickness: Of the lens, as a spec writes it, if the user has said so.
+        paper: Of the sheet to print.
+        jig: Whether to write a jig, too.
     """
 
     pictures: Sequence[tuple[str, Assessment]]
@@ -42,6 +46,10 @@ class Request:
     machine: str | None = None
     size_mm: float = 100.0
     place: Place = "table"
+    facets: int | None = None
+    thickness: str | None = None
+    paper: str = "auto"
+    jig: bool = False
 
     @property
     def viewer(self) -> str:
@@ -217,6 +225,10 @@ def _lens(request: Request, facets: int, microfacets: int, why: str) -> list[str
 def _lens_lines(request: Request, facets: int | str, why: str, microfacets: int) -> list[str]:
     # the machine's own material and thickness, where one is named
     usual = [] if request.machine else ["thickness: 40mm   # thicker lenses reach further with flatter facets"]
+    if request.thickness:
+        usual = [f"thickness: {request.thickness}"]
+    if request.facets:
+        facets, why = request.facets, f"{request.facets} x {request.facets} facets, as was wished."
     material = [] if request.machine else ["material: acrylic"]
     return [
         f"size: {request.wider(1)}",
@@ -266,8 +278,12 @@ def _pipeline(request: Request, *matching: str) -> list[str]:
 
 def _exporters(request: Request) -> str:
     if request.machine:
-        files = ", ".join(f"{{type: {name}}}" for name in [*machines()[request.machine].files, "sheet"])
-        return f"exporters: [{files}]   # what the machine reads, and the source to print; see 'mlens plugins'"
+        paper = "" if request.paper == "auto" else f", paper: {request.paper}"
+        files = [f"{{type: {name}}}" for name in machines()[request.machine].files]
+        files += [f"{{type: sheet{paper}}}", *(["{type: jig}"] if request.jig else [])]
+        return (
+            f"exporters: [{', '.join(files)}]   # what the machine reads, and the source to print; see 'mlens plugins'"
+        )
     return "exporters: [{type: stl}]   # also 3mf, obj, ply, glb, sheet (the source, to print); see 'mlens plugins'"
 
 

@@ -19,7 +19,7 @@ from magiclens.contract.errors import InputError
 from magiclens.contract.units import LENGTH
 from magiclens.images import read_image
 from magiclens.images.files import check_not_tiny
-from magiclens.new.assess import Crop, assess
+from magiclens.new.assess import AS_SUITS, Crop, Ground, Treatment, assess
 from magiclens.new.layouts import LAYOUTS, ON_MACHINES, SPECIAL, Place, Request
 from magiclens.new.palette import inks_for
 
@@ -35,11 +35,19 @@ class Making:
         machine: Name of the machine; None if it is left open.
         size: The lens's side, with its unit.
         place: Where the lens is used.
+        facets: How many along a side; None for as many as suit machine and pictures.
+        thickness: Its thickness, with its unit; None for what is usual.
+        paper: Of the sheet to print, as the exporter ``sheet`` has it.
+        jig: Whether to write a jig, too.
     """
 
     machine: str | None = None
     size: str = DEFAULT_SIZE
     place: str = "table"
+    facets: int | None = None
+    thickness: str | None = None
+    paper: str = "auto"
+    jig: bool = False
 
 
 def new_spec(
@@ -49,7 +57,7 @@ def new_spec(
     source: Path | None = None,
     questions: Sequence[str] = (),
     making: Making = Making(),
-    crop: Crop = "auto",
+    treatment: Treatment = AS_SUITS,
 ) -> str:
     """Write a spec for a user's pictures.
 
@@ -60,7 +68,7 @@ def new_spec(
         source: File of the source; None for random discs.
         questions: For question-answer, one per picture or none.
         making: How the lens is made and used.
-        crop: How pictures are made square.
+        treatment: What is done to the pictures, besides what suits them.
 
     Returns:
         The text that was written; ``mlens check`` accepts it.
@@ -82,10 +90,11 @@ def new_spec(
     if source:
         check_not_tiny(read_image(source))
     moving = LAYOUTS[scenario].moving
-    assessed = tuple((files.path(path), assess(path, crop, moving)) for path in pictures)
+    assessed = tuple((files.path(path), assess(path, treatment, moving)) for path in pictures)
     inks = () if moving else inks_for([found for _, found in assessed])
     below = files.path(source) if source else None
-    request = Request(assessed, below, tuple(questions), inks, *_checked(making))
+    known = Request(assessed, below, tuple(questions), inks, *_checked(making))
+    request = replace(known, facets=making.facets, thickness=making.thickness, paper=making.paper, jig=making.jig)
     text = _text(scenario, request, [path.name for path in pictures], out.name)
     _write(out, text)
     return text
@@ -106,9 +115,12 @@ class _Files:
         return found if re.fullmatch(r"[A-Za-z_.][\w./-]*", found, re.ASCII) else json.dumps(found, ensure_ascii=False)
 
 
-def crop_of(name: str) -> Crop:
-    """The way of making pictures square that has this name. Raises InputError if there is none."""
-    return cast(Crop, _one_of(get_args(Crop), "way to crop", name, "--crop"))
+def treatment_of(crop: str, contrast: float = 0.0, ground: str = "auto") -> Treatment:
+    """The treatment that these names and this share stand for. Raises InputError if there is none."""
+    if not 0 <= contrast < 1:
+        raise InputError(f"contrast {contrast:g} is not between 0 and 1", "contrast")
+    way = cast(Crop, _one_of(get_args(Crop), "way to crop", crop, "--crop"))
+    return Treatment(way, contrast, cast(Ground, _one_of(get_args(Ground), "ground", ground, "ground")))
 
 
 def _one_of(names: Sequence[str], kind: str, name: str, key: str) -> str:

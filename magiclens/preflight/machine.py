@@ -62,16 +62,21 @@ def check_bed(file: MeshFile, machine: Machine | None) -> Finding:
 
 def check_material(file: MeshFile, machine: Machine | None, material: Material | None) -> Finding:
     """State how much material the lens takes, and what that costs; a mill needs the block around the lens."""
-    volume = file.volume_mm3 / 1000
-    block = float(np.prod(np.diff(file.extent_mm, axis=0))) / 1000
+    block = float(np.prod(np.diff(file.extent_mm, axis=0)))
     milled = isinstance(machine, Mill)
-    of_block = f", out of a block of {block:.4g} cm3" if milled else ""
-    price = machine.price if machine and machine.price is not None else material.price if material else None
+    of_block = f", out of a block of {block / 1000:.4g} cm3" if milled else ""
+    volume = f"{file.volume_mm3 / 1000:.4g} cm3{of_block}"
     if material is None:
-        return Finding("material", "grey", f"{volume:.4g} cm3{of_block}; no material is named, so its cost is unknown")
-    mass = (block if milled else volume) * material.density / 1000
-    cost = f"{mass:.3g} kg of {material.title}, about {mass * (price or 0.0):.0f} EUR at {price:g} EUR/kg"
-    return Finding("material", "green", f"{volume:.4g} cm3{of_block}; {cost}")
+        return Finding("material", "grey", f"{volume}; no material is named, so its cost is unknown")
+    text = material_text(block if milled else file.volume_mm3, machine, material)
+    return Finding("material", "green", f"{volume}; {text}")
+
+
+def material_text(volume_mm3: float, machine: Machine | None, material: Material) -> str:
+    """How much so much of a material weighs, and what it costs."""
+    price = machine.price if machine and machine.price is not None else material.price
+    mass = volume_mm3 / 1e6 * material.density
+    return f"{mass:.3g} kg of {material.title}, about {mass * price:.0f} EUR at {price:g} EUR/kg"
 
 
 def check_detail(lens: Lens, machine: Machine) -> Finding:

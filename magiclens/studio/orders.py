@@ -17,6 +17,7 @@ from magiclens.pages.pictures import webp_uri
 from magiclens.studio.store import StudioFolder, file_below
 
 if TYPE_CHECKING:
+    from magiclens.new.assess import Treatment
     from magiclens.plan.compile import Plan
 
 SPEC = "spec.yaml"
@@ -36,7 +37,13 @@ class Order(BaseModel):
     pictures: list[str] = Field([], max_length=64)
     machine: str | None = Field(None, max_length=40)
     size: str = Field("60mm", max_length=20)
+    facets: int | None = Field(None, ge=2, le=256)
+    thickness: str | None = Field(None, max_length=20)
+    paper: str = Field("auto", max_length=10, pattern="^[a-z0-9]+$")
+    jig: bool = False
     crop: str = Field("auto", max_length=10)
+    contrast: float = Field(0.0, ge=0, lt=1)
+    ground: str = Field("auto", max_length=10)
     yaml: str | None = Field(None, max_length=100_000)
 
 
@@ -46,7 +53,7 @@ def write_order(order: Order, store: StudioFolder, folder: Path) -> Plan:
     Raises:
         InputError: A picture is missing, or the spec has mistakes.
     """
-    from magiclens.new.write import Making, crop_of, new_spec
+    from magiclens.new.write import Making, new_spec, treatment_of
     from magiclens.plan.compile import load_plan
     from magiclens.running.feasible import require_feasible
 
@@ -54,8 +61,9 @@ def write_order(order: Order, store: StudioFolder, folder: Path) -> Plan:
     try:
         if order.yaml is None:
             pictures = [_copy(name, store, folder) for name in order.pictures]
-            making = Making(order.machine, order.size)
-            new_spec(order.scenario, pictures, spec, making=making, crop=crop_of(order.crop))
+            making = Making(order.machine, order.size, "table", order.facets, order.thickness, order.paper, order.jig)
+            treatment = treatment_of(order.crop, order.contrast, order.ground)
+            new_spec(order.scenario, pictures, spec, making=making, treatment=treatment)
         else:
             for name in named_pictures(order.yaml, store):
                 _copy(name, store, folder)
@@ -97,22 +105,21 @@ def draft_settings(plan: Plan) -> list[str]:
     ]
 
 
-def previewed(name: str, crop: str, store: StudioFolder) -> dict[str, Any]:
+def previewed(name: str, treatment: Treatment, store: StudioFolder) -> dict[str, Any]:
     """A picture as a spec would show it: a small data URI, and sentences on what is done to it.
 
     Raises:
-        InputError: There is no such picture, no such way to crop, or the picture shows next to nothing.
+        InputError: There is no such picture, or it shows next to nothing.
     """
     from magiclens.drawing.tiles import to_pixels
     from magiclens.images import read_image
     from magiclens.new.assess import assess
-    from magiclens.new.write import crop_of
 
     found = file_below(store.root / "pictures", name)
     if not found:
         raise InputError(f"there is no picture {name!r}; add it first")
     try:
-        assessed = assess(found, crop_of(crop))
+        assessed = assess(found, treatment)
     except InputError as error:
         raise _without(found.parent, error) from None
     picture = to_pixels(assessed.shown(read_image(found), _PREVIEW_PX), _PREVIEW_PX)

@@ -50,7 +50,9 @@ def run_summary(run: Path) -> dict[str, Any] | None:
         "checks": [{key: check[key] for key in ("check", "status", "text")} for check in preflight["checks"]],
         "tolerances": [f"{label}: {value}" for label, value in metric_rows(tolerances)],
         "downloads": _downloads(files),
-        "pages": [name for name in ("report.html", "preflight.html", "view.html") if (run / name).is_file()],
+        "pages": [
+            name for name in ("view.html", "show.html", "report.html", "preflight.html") if (run / name).is_file()
+        ],
     }
 
 

@@ -25,8 +25,10 @@ from starlette.routing import Route
 
 from magiclens.contract.errors import InputError, MagicLensError
 from magiclens.new.layouts import LAYOUTS
+from magiclens.new.write import treatment_of
 from magiclens.pages.templating import render_page, template_text
-from magiclens.profiles.machines import Profile, machines
+from magiclens.profiles.machines import machines
+from magiclens.studio.foreseen import foreseen
 from magiclens.studio.guard import RUN_POLICY, Door, Guard
 from magiclens.studio.orders import PACKED, SPEC, Order, fill_job, packed_order, previewed, write_order
 from magiclens.studio.results import WANTS, job_summary, run_summary
@@ -37,7 +39,7 @@ from magiclens.studio.worker import Worker
 MOST_UPLOAD_BYTES = 20_000_000
 """Largest picture that is taken."""
 _MOST_JSON_BYTES = 500_000
-_SCRIPTS = ("main.js", "orders.js", "preview.js", "jobs.js", "server.js")
+_SCRIPTS = ("main.js", "orders.js", "preview.js", "jobs.js", "server.js", "tiles.js")
 _CARDS = {
     "single": ("One picture", "It appears when the lens lies on its sheet."),
     "rotating": ("A picture for each turn", "Turn the lens by a quarter: another one appears."),
@@ -50,8 +52,6 @@ _TYPES = {
     ".html": "text/html", ".png": "image/png", ".json": "application/json", ".pdf": "application/pdf",
     ".yaml": "text/plain", ".webp": "image/webp", ".svg": "image/svg+xml", ".gif": "image/gif", ".mp4": "video/mp4",
 }  # fmt: skip
-_SIZES = (25, 40, 60, 80, 100)
-"""Sides of lenses to choose from, mm."""
 _FILMS = {f"{want}/share.gif": want for want in WANTS}
 """Addresses of films to share, which are made when somebody asks for them."""
 _LOOK_S = 0.25
@@ -69,8 +69,7 @@ class Studio:
             render_page(
                 "magiclens.studio/studio.html",
                 cards=[(name, *words, LAYOUTS[name]) for name, words in _CARDS.items()],
-                machines={name: (_capital(profile.title), _facets(profile)) for name, profile in machines().items()},
-                sizes=_SIZES,
+                machines={name: _capital(profile.title) for name, profile in machines().items()},
             )
         )
         self._door.enter(request, response)
@@ -128,8 +127,19 @@ class Studio:
 
     async def preview(self, request: Request) -> Response:
         """A picture as a lens is to show it, and why."""
-        name, crop = request.path_params["name"], request.query_params.get("crop", "auto")
-        return JSONResponse(await run_in_threadpool(previewed, name, crop, self._store))
+        asked = request.query_params
+        try:
+            contrast = float(asked.get("contrast", "0"))
+        except ValueError:
+            raise InputError("it is a number from 0 to 1", "contrast") from None
+        treatment = treatment_of(asked.get("crop", "auto"), contrast, asked.get("ground", "auto"))
+        name = request.path_params["name"]
+        return JSONResponse(await run_in_threadpool(previewed, name, treatment, self._store))
+
+    async def foreseen(self, request: Request) -> Response:
+        """What is known of an order before anything is designed: its facets, and rows of a table."""
+        order = await _order(request)
+        return JSONResponse(await run_in_threadpool(foreseen, order, self._store))
 
     async def spec(self, request: Request) -> Response:
         """The YAML of an order, without a job."""
@@ -211,6 +221,7 @@ def studio_app(store: StudioFolder, worker: Worker, door: Door) -> Starlette:
         route("DELETE", "/api/pictures/{name}", studio.delete_picture),
         route("GET", "/api/previews/{name}", studio.preview),
         route("POST", "/api/specs", studio.spec),
+        route("POST", "/api/forecasts", studio.foreseen),
         route("POST", "/api/jobs", studio.add_job),
         route("POST", "/api/jobs/{job}/{what}", studio.ask),
         route("DELETE", "/api/jobs/{job}", studio.delete_job),
@@ -278,11 +289,6 @@ def _listening(port: int) -> socket.socket:
             f"port {port} of 127.0.0.1 cannot be had; choose another, or 0 for a free one", "--port"
         ) from None
     return listener
-
-
-def _facets(profile: Profile) -> str:
-    """How many facets suit a machine, by the side of the lens, as JSON."""
-    return json.dumps({f"{size}mm": profile.machine().facets_for(size) for size in _SIZES})
 
 
 def _capital(title: str) -> str:

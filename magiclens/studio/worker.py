@@ -101,6 +101,8 @@ class Worker:
         code, last = self._command(job, "run", SPEC, "--out", want, "--sandbox", *settings)
         if code == 0:
             code, last = self._command(job, "view", want, "--no-open")
+        if code == 0 and want == "full":
+            code, last = self._command(job, "show", want, "--no-open")
         with self._wake:
             self._running = None
             if not self._ending:

@@ -5,7 +5,7 @@ const list = document.getElementById("jobs");
 const nothing = list.firstElementChild;
 const shown = new Map();
 const TITLES = { draft: "Draft", full: "Full design" };
-const PAGES = { "view.html": "Move the lens over its sheet", "report.html": "Report", "preflight.html": "Preflight" };
+const PAGES = { "view.html": "Move the lens over its sheet", "show.html": "Show the sheet on a screen", "report.html": "Report", "preflight.html": "Preflight" };
 const MAIN_FILES = 3;
 const TICK_MS = 1000;
 

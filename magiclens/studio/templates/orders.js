@@ -1,5 +1,5 @@
 // Pictures and the form: what the user wants.
-import { preview } from "./preview.js";
+import { foresee, preview } from "./preview.js";
 import { ask, complain, element, noComplaint, say } from "./server.js";
 
 const form = document.getElementById("order");
@@ -23,7 +23,33 @@ function draw() {
   guess();
 }
 
-const guess = () => preview(chosen).catch(complain);
+// How values of the sliders are called; 0 leaves facets and thickness to the machine.
+const USUAL = "as suits the machine";
+const SAID = {
+  size: (value) => `${value} mm`, facets: (value) => (value ? `${value} x ${value}` : USUAL),
+  thickness: (value) => (value ? `${value} mm` : USUAL), contrast: (value) => (value ? `${value} % of the tones cut` : "as they are"),
+};
+const PAUSE_MS = 250;
+let soon = 0;
+
+// What the page shows of the order follows every change, a moment later.
+function guess() {
+  for (const [name, text] of Object.entries(SAID)) {
+    const input = form.elements[name];
+    input.previousElementSibling.textContent = text(Number(input.value));
+    input.setAttribute("aria-valuetext", text(Number(input.value)));
+  }
+  clearTimeout(soon);
+  soon = setTimeout(async () => {
+    try {
+      const made = order();
+      await preview(made, await foresee(made));
+    } catch (error) {
+      preview(null);
+      foresee(null, error);
+    }
+  }, PAUSE_MS);
+}
 
 function item(name) {
   const box = element("input", { type: "checkbox", id: `choose-${name}`, checked: chosen.includes(name) });
@@ -73,7 +99,11 @@ function order() {
     const many = least === most ? "one picture" : `${least} to ${most} pictures`;
     throw `Choose ${many} above; ${chosen.length} chosen now.`;
   }
-  return { scenario: radio.value, pictures: chosen, machine: values.get("machine") || null, size: values.get("size"), crop: values.get("crop") };
+  const number = (name) => Number(values.get(name));
+  return {
+    scenario: radio.value, pictures: chosen, machine: values.get("machine") || null, size: `${number("size")}mm`, facets: number("facets") || null,
+    thickness: number("thickness") ? `${number("thickness")}mm` : null, paper: values.get("paper"), jig: values.has("jig"), crop: values.get("crop"), ground: values.get("ground"), contrast: number("contrast") / 100,
+  };
 }
 
 async function queue(made) {
@@ -121,7 +151,8 @@ export function listen() {
     const pasted = [...event.clipboardData.files];
     if (pasted.length) add(pasted);
   });
-  form.addEventListener("change", (event) => event.target.name && guess());
+  form.addEventListener("input", (event) => event.target.name && guess());
+  guess();
   form.addEventListener("submit", (event) => {
     event.preventDefault();
     queue(order);

@@ -1,24 +1,20 @@
 // A quick guess of what a lens of so many facets could show: each tile from the patch of random discs that suits it best.
 // It knows neither refraction nor the machine, which a draft does.
-import { ask, element } from "./server.js";
+import { canvasOf, discs, greys, matched, TILE } from "./tiles.js";
+import { ask, element, Refused } from "./server.js";
 
 const box = document.getElementById("preview");
-const form = document.getElementById("order");
-// Pixels along a tile; candidates along each axis of the search window, fewer for many tiles; half the window as a share of
-// the sheet.
-const TILE = 8, CANDIDATES = 13, FEWER = 7, MANY_TILES = 1500, REACH = { single: 0.1, rotating: 0.2 };
-// How a facet may show its patch: as it is, mirrored, or magnified; where each pixel of a tile comes from, from the corner.
-const MAPS = [1, 0.5].flatMap((scale) => [0, 1, 2, 3].map((flip) => ({ scale, flip })));
-const FACETS_WITHOUT_MACHINE = 32, DISCS_MM = [0.5, 2.5], LAYERS = 4;
-let asked = 0;
+const table = document.getElementById("foreseen");
+// Half the window in which patches are looked for, as a share of the sheet; other scenarios have no quick guess.
+const REACH = { single: 0.1, rotating: 0.2 };
+let asked = 0, forecasts = 0;
 
-export async function preview(pictures) {
-  const { scenario, machine, size, crop } = Object.fromEntries(new FormData(form));
+// Pictures of an order as so many facets might show them; nothing of no order.
+export async function preview(order, facets) {
   const mine = ++asked;
-  if (!(scenario in REACH) || !pictures.length) return box.replaceChildren();
-  const option = form.querySelector(`[name=machine] option[value="${machine}"]`);
-  const facets = JSON.parse(option.dataset.facets || "{}")[size] ?? FACETS_WITHOUT_MACHINE;
-  const found = await Promise.all(pictures.map((name) => ask("GET", `/api/previews/${name}?crop=${crop}`)));
+  if (!order || !facets || !(order.scenario in REACH)) return box.replaceChildren();
+  const { pictures, crop, ground, contrast, size, scenario } = order;
+  const found = await Promise.all(pictures.map((name) => ask("GET", `/api/previews/${name}?${new URLSearchParams({ crop, ground, contrast })}`)));
   const targets = await Promise.all(found.map((one) => greys(one.picture, facets * TILE)));
   if (mine !== asked) return undefined;
   const shown = matched(targets, discs(facets * TILE, parseFloat(size)), facets, REACH[scenario]);
@@ -30,85 +26,20 @@ export async function preview(pictures) {
   );
 }
 
-async function greys(uri, side) {
-  const image = new Image();
-  image.src = uri;
-  await image.decode();
-  const context = new OffscreenCanvas(side, side).getContext("2d");
-  context.drawImage(image, 0, 0, side, side);
-  return grey(context, side);
-}
-
-const grey = (context, side) => Float32Array.from({ length: side * side }, ((rgba) => (_, k) => (rgba[4 * k] + rgba[4 * k + 1] + rgba[4 * k + 2]) / 3)(context.getImageData(0, 0, side, side).data));
-
-function discs(side, sizeMm) {
-  const context = new OffscreenCanvas(side, side).getContext("2d"), perMm = side / sizeMm, random = numbers(7);
-  const [low, high] = DISCS_MM.map((mm) => mm * perMm), mean = (low * low + low * high + high * high) / 3;
-  context.fillStyle = "#fff";
-  context.fillRect(0, 0, side, side);
-  for (let k = (LAYERS * side * side) / (Math.PI * mean); k > 0; k--) {
-    context.fillStyle = random() < 0.5 ? "#000" : "#fff";
-    context.beginPath();
-    context.arc(random() * side, random() * side, low + random() * (high - low), 0, 7);
-    context.fill();
+// What an order will take, in the table; the number of its facets, or nothing if the order has changed meanwhile.
+export async function foresee(order, trouble) {
+  const mine = ++forecasts;
+  if (!order) {
+    const words = trouble instanceof Refused ? trouble.errors.map((e) => e.message).join(" ") : String(trouble);
+    table.tBodies[0].replaceChildren(row("Not yet", words, ""));
+    return 0;
   }
-  return grey(context, side);
+  const { rows, facets } = await ask("POST", "/api/forecasts", order);
+  if (mine !== forecasts) return 0;
+  table.tBodies[0].replaceChildren(...rows.map((each) => row(...each)));
+  return facets;
 }
 
-// Equal numbers each time, so that the guess changes only with what is asked.
-function numbers(seed) {
-  let state = seed;
-  return () => (state = (state * 16807) % 2147483647) / 2147483647;
-}
-
-// A picture turned back by quarter turns: what a lens that is turned with it sees.
-function turned(picture, side, quarters) {
-  if (!quarters) return picture;
-  const out = new Float32Array(side * side);
-  for (let y = 0; y < side; y++) for (let x = 0; x < side; x++) out[y * side + x] = picture[x * side + side - 1 - y];
-  return turned(out, side, (quarters + 1) % 4);
-}
-
-// For each picture what is seen; one patch of the sheet has to suit all of them, each at its quarter turn.
-function matched(targets, sheet, facets, reach) {
-  const side = facets * TILE, wanted = targets.map((t, k) => turned(t, side, (4 - k) % 4)), sheets = targets.map((_, k) => turned(sheet, side, (4 - k) % 4));
-  const shown = targets.map(() => new Float32Array(side * side)), axis = facets * facets * targets.length > MANY_TILES ? FEWER : CANDIDATES, step = (2 * reach * side) / (axis - 1), maps = MAPS.map((map) => offsets(map, side));
-  for (let y = 0; y < side; y += TILE) {
-    for (let x = 0; x < side; x += TILE) {
-      const to = y * side + x, half = (axis - 1) / 2;
-      let best = Infinity, found = null;
-      for (let k = 0; k < axis * axis; k++) {
-        const [u, v] = [x + step * ((k % axis) - half), y + step * (Math.floor(k / axis) - half)].map((at) => Math.round(Math.min(Math.max(at, 0), side - TILE)));
-        for (const map of maps) {
-          let error = 0;
-          for (let j = 0; j < wanted.length && error < best; j++) error += difference(wanted[j], to, sheets[j], v * side + u, map, maps[0]);
-          if (error < best) [best, found] = [error, { from: v * side + u, map }];
-        }
-      }
-      sheets.forEach((one, j) => maps[0].forEach((at, k) => (shown[j][to + at] = one[found.from + found.map[k]])));
-    }
-  }
-  return shown.map((one, k) => turned(one, side, k));
-}
-
-function offsets({ scale, flip }, side) {
-  const along = (k, mirrored) => Math.floor(scale * (mirrored ? TILE - 1 - k : k));
-  return Int32Array.from({ length: TILE * TILE }, (_, k) => along(Math.floor(k / TILE), flip & 1) * side + along(k % TILE, flip & 2));
-}
-
-function difference(wanted, to, sheet, from, map, plain) {
-  let sum = 0;
-  for (let k = 0; k < map.length; k++) {
-    const off = wanted[to + plain[k]] - sheet[from + map[k]];
-    sum += off * off;
-  }
-  return sum;
-}
-
-function canvasOf(picture, side, name) {
-  const canvas = element("canvas", { width: side, height: side, role: "img", ariaLabel: `${name}: a guess of what a lens could show` });
-  const image = new ImageData(side, side);
-  picture.forEach((value, k) => image.data.set([value, value, value, 255], 4 * k));
-  canvas.getContext("2d").putImageData(image, 0, 0);
-  return canvas;
+function row(label, text, color) {
+  return element("tr", {}, element("th", { scope: "row" }, label), element("td", { className: color }, text));
 }
