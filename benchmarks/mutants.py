@@ -67,19 +67,19 @@ class Folder:
 
 
 FOLDERS = {
-    "optics": Folder(0.0, ["test_optics.py", "test_eyes.py"], compiled=False, slowest_s=4),
+    "optics": Folder(0.92, ["test_optics.py", "test_eyes.py"], compiled=False, slowest_s=4),
     "matching": Folder(
-        0.0, ["test_matching.py", "test_darts.py", "test_multi_view.py", "test_scenarios.py", "test_secrecy.py"]
+        0.86, ["test_matching.py", "test_darts.py", "test_multi_view.py", "test_scenarios.py", "test_secrecy.py"]
     ),
-    "integration": Folder(0.0, ["test_integration.py", "test_refine.py", "test_through_process.py"]),
-    "encoding": Folder(0.0, ["test_encoding.py", "test_universal_scenarios.py"]),
+    "integration": Folder(0.8, ["test_integration.py", "test_refine.py", "test_through_process.py"]),
+    "encoding": Folder(0.78, ["test_encoding.py", "test_universal_scenarios.py"]),
     "exporting": Folder(
-        0.0,
+        0.76,
         ["test_mesh_files.py", "test_exchange_files.py", "test_sheet.py", "test_slices.py", "test_jig.py",
          "test_columns.py"],
     ),
     "config": Folder(
-        0.0,
+        0.88,
         ["test_spec.py", "test_plan.py", "test_profiles.py", "test_secrecy.py", "hostile/test_yaml.py",
          "hostile/test_options.py", "hostile/test_numbers.py", "hostile/test_late_errors.py",
          "hostile/test_sandbox.py"],

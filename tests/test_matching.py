@@ -23,7 +23,7 @@ from magiclens.matching import rasters
 from magiclens.matching.channels import stack_channels
 from magiclens.matching.exhaustive import Exhaustive, search_all
 from magiclens.matching.multi_view import MultiViewMatcher
-from magiclens.matching.polishing import blur_levels
+from magiclens.matching.polishing import blur_levels, polished
 from magiclens.matching.pool import Pool
 from magiclens.matching.raster_kernels import BLOCK_PIXELS, average_columns
 from magiclens.matching.tuples import Tiles
@@ -258,6 +258,20 @@ def test_a_patch_of_another_symmetric_map_is_found_by_polishing() -> None:
     found = matched(Exhaustive(window="6mm", scales=(0.45, 0.6, 0.8), candidates=16), scene)
     np.testing.assert_allclose(found.offsets_mm[:, :, 0], cut.offsets_mm, atol=0.01)
     np.testing.assert_allclose(found.maps[:, :, 0], cut.maps, atol=0.01)
+
+
+@pytest.mark.parametrize("eye", [ABOVE, ASIDE], ids=["eye above", "eye aside"])
+def test_rough_candidates_of_any_origin_are_polished_to_the_patch_they_are_near(eye: Eye) -> None:
+    """The second of two is out of reach: its facets would be too steep."""
+    scene, cut = cut_out(MAPS, eye=eye)
+    near, far = cut.offsets_mm + np.float32((0.15, -0.1)), np.full((3, 3, 2), 60.0)
+    offsets, maps = np.stack([far, near], axis=2), np.stack([cut.maps, cut.maps * np.float32(1.06)], axis=2)
+    found = polished(scene, choices(offsets, maps, np.zeros((3, 3, 2))), Exhaustive(window="6mm", candidates=2))
+    np.testing.assert_allclose(found.offsets_mm[:, :, 0], cut.offsets_mm, atol=0.01)
+    np.testing.assert_allclose(found.maps[:, :, 0], cut.maps, atol=0.01)
+    assert not np.isfinite(found.errors[:, :, 1]).any()
+    with pytest.raises(InputError, match=r"facet \(row 0, column 0\) reaches no patch"):
+        polished(scene, choices(far[:, :, None], maps[:, :, :1], np.zeros((3, 3, 1))), Exhaustive(window="6mm"))
 
 
 def test_without_polishing_patches_lie_on_the_lattice_of_offsets() -> None:
