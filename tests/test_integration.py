@@ -150,6 +150,14 @@ def test_pieces_of_one_surface_are_placed_so_that_they_meet() -> None:
     np.testing.assert_allclose(levels - levels.mean(), means - means.mean(), atol=1e-6)
 
 
+def test_screening_pulls_facets_to_the_reference_plane() -> None:
+    rise = np.linspace(-0.5, 0.5, 5) * np.ones((6, 6, 5, 1))
+    shapes = rise * np.cos(np.pi * (np.arange(6) + 0.5) / 6)[:, None, None]
+    free, pulled, flat = (levels_of_least_steps(shapes, screening, 50.0)[0] for screening in (0.0, 0.5, 100.0))
+    assert np.abs(pulled).mean() < 0.7 * np.abs(free).mean()
+    assert np.abs(flat).mean() < 0.02 * np.abs(free).mean()
+
+
 def test_row_rises_grow_with_plus_x_and_column_rises_fall_with_plus_y() -> None:
     """A facet that shows what lies at +x and +y of it must rise toward both."""
     lens = small_lens(2, 1.0, microfacets=3)

@@ -171,6 +171,15 @@ class TestRefinement:
             top.descend(top.heights_of(start), 0.25, 4, 0.3, told.append)
             assert told == pytest.approx([(k + 1) / 4 for k in range(taken)])
 
+    @pytest.mark.parametrize("spread", ["0.05mm", "0.1mm", "0.4mm"])
+    def test_the_raster_goes_on_as_far_as_the_process_carries(self, spread: str) -> None:
+        process = LinearProcess(spread=spread)
+        raster = WholeTop(a_scene(), a_surface(), process).raster
+        margin = raster.first * raster.pitch
+        assert process.reach_mm <= margin < 3 * process.reach_mm + 1.0
+        assert -raster.left == pytest.approx(LENS.size_mm / 2 + margin)
+        assert raster.top == pytest.approx(LENS.size_mm / 2 + margin)
+
     def test_heights_are_moved_into_the_relief_before_they_are_cut(self) -> None:
         top = WholeTop(a_scene(), a_surface(), PROCESS)
         ramp = np.linspace(0, 1, 49, dtype=np.float32) * np.ones((49, 1), np.float32)
