@@ -62,7 +62,7 @@ class MultiViewMatcher(LatticeOptions, Matcher):
         pool = Pool(lens.facets**2, math.ceil(math.sqrt(self.candidates)))
         source_px, block = lens.source_size_mm / pictures.sources.shape[2], lens.pitch_mm / BLOCKS
         scales = resolved_scales(self.scales, block, source_px)
-        pairs = [(s, s) for s in scales] if self.isotropic else list(itertools.product(scales, repeat=2))
+        pairs = [(s, s) for s in scales] if self.isotropic else list(itertools.product(scales, scales))
         grain = seen_grain(scene)
         views = pictures.seen(lens.facets * BLOCKS, 1 / source_px, lens.size_mm)
         boxes = [[(s * block + grain) / source_px for s in pair] for pair in pairs]
