@@ -249,6 +249,9 @@ class _Compiler:
         scenario, scenario_plugin = self._scenario()
         suited, usual = self._suited(scenario, scenario_plugin)
         spec = check_spec(self._document, self._checker, self._fabrication, usual)
+        if spec and scenario and "rematch" not in spec.pipeline.model_fields_set:
+            pipeline = spec.pipeline.model_copy(update={"rematch": scenario.suitable_rematch})
+            spec = spec.model_copy(update={"pipeline": pipeline})
         # where both choose a stage, the scenario's choice wins: without it the lens shows nothing
         if self._fabrication and spec:
             suited = self._fabrication.suited(suited, spec.lens)

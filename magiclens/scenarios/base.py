@@ -39,11 +39,13 @@ class Shot(Viewpoint):
 class Scenario(SpecModel, ABC):
     """Base of all scenarios. Its fields are keys of the spec, ``type`` is the name by which a spec chooses it.
 
-    ``repeatable`` is False for one whose pictures differ from time to time, as for stages.
+    ``repeatable`` is False for one whose pictures differ from time to time, as for stages. ``suitable_rematch`` is how
+    many rounds of rematching it works best with; a spec may choose others.
     """
 
     type: ClassVar[str]
     repeatable: ClassVar[bool] = True
+    suitable_rematch: ClassVar[int] = 0
 
     @property
     def frames_per_second(self) -> float | None:

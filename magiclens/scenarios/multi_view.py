@@ -53,6 +53,7 @@ class MultiView(Scenario):
     """One lens that shows another picture to every eye."""
 
     type: ClassVar[str] = "multi-view"
+    suitable_rematch: ClassVar[int] = 2  # heights move facets in the pictures of tilted eyes: it gains 1 dB
 
     source: Source = Field(
         description="what lies below the lens; larger than the lens, as tilted eyes look past its edges"
