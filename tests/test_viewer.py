@@ -18,17 +18,20 @@ from typing import Any
 import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from PIL import Image
+from PIL import Image, ImageSequence
 from playwright.sync_api import Browser, CDPSession, Page
 from scipy.ndimage import gaussian_filter
 from typer.testing import CliRunner
 
+import magiclens.web.viewer
 from browsers import listen
 from lenses import Lenses
 from magiclens.cli import app
 from magiclens.contract.artifacts import FloatArray, Lens, View
-from magiclens.images import read_image, to_display, to_linear
+from magiclens.geometry.solid import solid_from_heights
+from magiclens.images import read_image, resize, to_display, to_linear
 from magiclens.images.files import write_png
+from magiclens.images.movies import read_frames
 from magiclens.images.score import psnr_db
 from magiclens.rendering.tracer import picture, trace
 from magiclens.running.open_run import OpenRun, open_run
@@ -36,7 +39,9 @@ from magiclens.scenarios.base import Shot
 from magiclens.scenarios.pictures import Circles, Target
 from magiclens.web.embedding import json_for_script
 from magiclens.web.viewer import MOST_BYTES, viewer_fragment, viewer_page
+from magiclens.web.viewer.film import FILM_BYTES, film_uri
 from magiclens.web.viewer.packing import orthonormal_polynomials, pack_heights, unpack_heights
+from magiclens.web.viewer.page import _SCRIPTS
 from magiclens.web.viewer.pictures import picture_uri_within
 from magiclens.web.viewer.viewer_data import LANDING_MM, finest_step_mm, keep_views, view_labels
 
@@ -210,6 +215,14 @@ def test_nothing_in_the_page_can_be_taken_for_markup(folders: dict[str, Path]) -
     assert "<" not in json_for_script({"</script>": "<!--"})
 
 
+def test_parts_of_the_script_share_no_variable_that_changes() -> None:
+    templates = Path(magiclens.web.viewer.__file__).parent / "templates"
+    scripts = {path.name: path.read_text(encoding="utf-8") for path in templates.glob("*.js")}
+    assert set(scripts) == set(_SCRIPTS), "every part is in the page, and nothing else"
+    shared = {name: re.findall(r"^(?:let|var) .*", text, re.MULTILINE) for name, text in scripts.items()}
+    assert not any(shared.values()), shared
+
+
 def test_a_fragment_is_one_section_of_bounded_size_that_names_no_other_place(folders: dict[str, Path]) -> None:
     for folder in folders.values():
         text = viewer_fragment(folder)
@@ -283,6 +296,24 @@ def test_out_of_its_place_the_lens_shows_what_the_tracer_sees(visit: Any, folder
     for picture_, pose, change in zip(seen, poses, CHANGES, strict=True):
         assert likeness(picture_, traced(lens, views[-1], pose)) > 33, change
         assert likeness(picture_, first) < 25, change
+
+
+def test_a_lens_with_a_printer_is_shown_as_printed_and_on_request_as_designed(
+    visit: Any, folders: dict[str, Path], lenses: Lenses, tmp_path: Path
+) -> None:
+    printed = open_run(lenses.shipped("printed-single").folder)
+    folders["printed"] = tmp_path
+    (tmp_path / "view.html").write_text(viewer_page(printed.folder), encoding="utf-8")
+    tab, view = visit("printed"), printed.printed_scene.views[0]
+    wanted = {"As printed": printed.top_as_made, "As designed": printed.top}
+    seen = {}
+    for name, top in wanted.items():
+        tab.get_by_role("radio", name=name).check(force=True)
+        tab.wait_for_timeout(500)
+        (seen[name],) = captured(tab, 0, [{}])
+        hits = trace(solid_from_heights(top), printed.plan.lens, view, PIXELS, SAMPLES)
+        assert likeness(seen[name], picture(hits, view.source, printed.plan.lens.source_size_mm)) > 33, name
+    assert likeness(*seen.values()) < 25
 
 
 def shown_in_place(tab: Page) -> FloatArray:
@@ -538,9 +569,108 @@ def test_a_lost_picture_is_drawn_again(visit: Any) -> None:
     np.testing.assert_allclose(canvas(tab), before, atol=2)
 
 
-def test_without_webgl_there_is_a_plain_picture_and_a_reason(visit: Any) -> None:
-    tab = visit(script="HTMLCanvasElement.prototype.getContext = () => null")
-    tab.get_by_text("this browser offers no WebGL2").wait_for()
-    assert tab.locator(".mlens-plain img").is_visible()
-    assert tab.evaluate("document.querySelector('.mlens-plain img').naturalWidth") > 0
-    assert not tab.locator("canvas").is_visible()
+def test_without_webgl_there_is_a_film_or_a_picture_and_a_reason(visit: Any) -> None:
+    for motion, side in (("reduce", 320), ("no-preference", 240)):
+        tab = visit(script="HTMLCanvasElement.prototype.getContext = () => null", reduced_motion=motion)
+        tab.get_by_text("this browser offers no WebGL2").wait_for()
+        picture = tab.locator(".mlens-plain img")
+        assert picture.is_visible()
+        assert picture.evaluate("(image) => image.decode().then(() => image.naturalWidth)") == side
+        assert not tab.locator("canvas").is_visible()
+        again = tab.get_by_role("button", name="Show it again")
+        assert again.is_visible() == (motion != "reduce")
+        if motion != "reduce":
+            before = picture.evaluate("(image) => image.currentSrc")
+            again.click()
+            tab.wait_for_function("(old) => document.querySelector('.mlens-plain img').currentSrc !== old", arg=before)
+
+
+def test_the_film_for_old_browsers_begins_with_the_sheet_and_ends_with_what_the_tracer_sees(
+    folders: dict[str, Path],
+) -> None:
+    for name, folder in folders.items():
+        uri = film_uri(open_run(folder))
+        assert len(uri) <= FILM_BYTES
+        with Image.open(BytesIO(b64decode(uri.partition(",")[2]))) as film:
+            assert film.info["loop"] == 1
+            frames, shown_ms = [], 0.0
+            for frame in ImageSequence.Iterator(film):
+                frames.append(np.asarray(frame.convert("RGB"), np.float32) / 255)
+                shown_ms += frame.info["duration"]
+        assert shown_ms < 5000, "longer motion needs a button to stop it"
+        lens = open_run(folder)
+        view = lens.scene.views[-1]
+        side = round(240 * SIDE_MM / wide_mm(lens, view))
+        corner = round(120 - side / 2)
+        wanted = to_display(np.broadcast_to(lens.seen(name=view.name, resolution=side), (side, side, 3)))
+        inner = frames[-1][corner : corner + side, corner : corner + side]
+        assert psnr_db(inner, wanted) > 20, name
+        assert psnr_db(frames[-2], frames[-1]) < 20, "the lens comes in"
+
+
+def wide_mm(lens: OpenRun, view: View) -> float:
+    """How wide the picture of a film is."""
+    near = view.eye_mm[2] - lens.plan.lens.thickness_mm
+    sheet = lens.plan.lens.source_size_mm * near / (view.eye_mm[2] + lens.plan.lens.gap_mm)
+    return float(1.1 * min(max(sheet, SIDE_MM), 1.4 * SIDE_MM))
+
+
+RECORDS = "['avc1.42E01F', 'vp9'].some((codec) => MediaRecorder.isTypeSupported(`video/mp4;codecs=${codec}`))"
+
+
+def test_a_film_is_made_as_mp4_or_gif_and_ends_in_place(visit: Any, folders: dict[str, Path], tmp_path: Path) -> None:
+    without = "delete window.MediaRecorder"
+    for name, script in (("magic-lens.mp4", ""), ("magic-lens.gif", without)):
+        tab = visit()
+        if name.endswith("mp4") and not tab.evaluate(RECORDS):
+            continue  # browsers are built with and without it
+        if script:
+            tab.evaluate(script)
+        with tab.expect_download(timeout=90_000) as download:
+            tab.get_by_role("button", name="Film to share").click()
+        assert download.value.suggested_filename == name
+        film = tmp_path / name
+        download.value.save_as(film)
+        first, *_, last = read_frames(film)
+        assert first.shape[:2] == (480, 480)
+        middle = (slice(180, 300), slice(180, 300))  # within the lens, once it lies there
+        assert psnr_db(blurred(last)[middle], blurred(first)[middle]) < 25
+        # at the end the last view is in place
+        place = 480 / (2.2 * sheet_share(tab))
+        (seen,) = captured(tab, 1, [{}])
+        side = round(place)
+        turns = open_run(folders["rotating"]).scene.views[1].quarter_turns
+        wanted = blurred(resize(np.ascontiguousarray(np.rot90(seen, turns)), (side, side)))
+        at = round(240 - side / 2)
+        inner = (slice(at + 20, at + side - 20),) * 2
+        assert psnr_db(blurred(last)[inner], wanted[20:-20, 20:-20]) > 20
+
+
+def sheet_share(tab: Page) -> float:
+    """Half the side of the sheet in sides of the lens, as the viewer shows it."""
+    script = "JSON.parse(document.querySelector('[data-part=data]').textContent).lens"
+    lens = tab.evaluate(script)
+    return min(max(lens["source_size"] / lens["size"] / 2, 0.5), 0.7)
+
+
+def blurred(picture_: FloatArray) -> FloatArray:
+    return np.asarray(gaussian_filter(to_display(picture_).mean(axis=-1), 3))
+
+
+def test_with_a_projector_nothing_is_shown_but_the_table_and_page_keys_lead_through_all_views(visit: Any) -> None:
+    tab = visit(width=1024, height=768)
+    tab.get_by_role("button", name="Projector").click()
+    tab.evaluate("magiclens.settled()")
+    stage = tab.locator("[data-part=stage]").bounding_box()
+    assert stage == {"x": 0, "y": 0, "width": 1024, "height": 768}
+    assert not tab.get_by_role("button", name="Put it in place").is_visible()
+    assert canvas(tab)[5, 5].mean() < 100, "light around the picture takes contrast from it"
+    for view in (0, 1):
+        tab.keyboard.press("PageDown")
+        assert tab.evaluate("[magiclens.view(), magiclens.atHome()]") == [view, True]
+    tab.keyboard.press("PageDown")
+    assert tab.evaluate("[magiclens.view(), magiclens.atHome()]") == [0, False]
+    assert [rule["id"] for rule in Axe().run(tab).response["violations"]] == []
+    tab.keyboard.press("Escape")
+    assert tab.get_by_role("button", name="Put it in place").is_visible()
+    assert tab.evaluate("document.activeElement.dataset.part") == "project"

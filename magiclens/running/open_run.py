@@ -75,9 +75,12 @@ class OpenRun:
         """The finished lens, from its stored heights."""
         from magiclens.geometry.solid import solid_from_heights
 
-        return solid_from_heights(
-            HeightField(self.plan.lens, self.files.heights(self.plan.lens), self.scene.cut_eye_mm)
-        )
+        return solid_from_heights(self.top)
+
+    @cached_property
+    def top(self) -> HeightField:
+        """The top as it was designed, from its stored heights."""
+        return HeightField(self.plan.lens, self.files.heights(self.plan.lens), self.scene.cut_eye_mm)
 
     @cached_property
     def top_as_made(self) -> HeightField:
@@ -86,7 +89,7 @@ class OpenRun:
 
         if self._body is not self.solid:
             return sampled_top(self._body, self.plan.lens)
-        return HeightField(self.plan.lens, self.files.heights(self.plan.lens), self.scene.cut_eye_mm)
+        return self.top
 
     def view(self, name: str | None = None) -> View:
         """The view of that name, the first one by default. Raises InputError if there is no such view."""

@@ -24,10 +24,10 @@ function draw() {
 }
 
 // How values of the sliders are called; 0 leaves facets and thickness to the machine.
-const USUAL = "as suits the machine";
+const USUAL = "usual";
 const SAID = {
   size: (value) => `${value} mm`, facets: (value) => (value ? `${value} x ${value}` : USUAL),
-  thickness: (value) => (value ? `${value} mm` : USUAL), contrast: (value) => (value ? `${value} % of the tones cut` : "as they are"),
+  thickness: (value) => (value ? `${value} mm` : USUAL), contrast: (value) => (value ? `${value} % of tones cut` : "as they are"),
 };
 const PAUSE_MS = 250;
 let soon = 0;

@@ -5,7 +5,8 @@ put into a page once; ``viewer_page(run_dir, title)`` is a whole page; ``write_v
 other file and make no request, so that they work from ``file://`` too. Everything that users wrote is escaped.
 
 The section traces rays as the built-in tracer does, for any position of lens and eye, in WebGL2; a browser without it
-shows one picture instead. ``window.magiclens`` (``ready``, ``setPose``, ``settled``, ``capture``) is for tests.
+plays a short film of traced pictures instead. ``window.magiclens`` (``ready``, ``setPose``, ``settled``, ``capture``)
+is for tests.
 """
 
 from magiclens.web.viewer.page import viewer_fragment, viewer_page, write_view

@@ -12,6 +12,7 @@ from magiclens.running.manifest import REFERENCE_RENDERER, render_path, source_p
 from magiclens.running.open_run import OpenRun, open_run
 from magiclens.running.run_files import verified
 from magiclens.web.embedding import json_for_script, write_beside
+from magiclens.web.viewer.film import film_uri
 from magiclens.web.viewer.pictures import thumbnail_uri
 from magiclens.web.viewer.viewer_data import viewer_data
 
@@ -31,8 +32,9 @@ _SHADERS = {
 """Files of the shaders by their name in the script; vertex and fragment shader of the solid both follow ``top``, and
 all that shows the sheet follows ``light``."""
 _SCRIPTS = (
-    "lens.js", "webgl.js", "table.js", "solid.js", "pace.js", "state.js", "geometry.js", "motion.js", "links.js",
-    "input.js", "controls.js", "main.js",
+    "lens.js", "webgl.js", "table.js", "solid.js", "page.js", "pace.js", "poses.js", "look.js", "geometry.js",
+    "words.js", "painter.js", "motion.js", "links.js", "input.js", "controls.js", "projector.js", "gif.js", "film.js",
+    "main.js",
 )  # fmt: skip
 """Parts of the script in the order in which they are joined: constants are used only after their part."""
 
@@ -51,10 +53,12 @@ def viewer_fragment(run_dir: Path) -> str:
         name=_name(lens.folder),
         view=view.name,
         picture=thumbnail_uri(_fallback_picture(lens), _PICTURE_SIDE),
+        film=film_uri(lens),
         side=_PICTURE_SIDE,
         kept=len(data["views"]),
         dropped=data["dropped"],
         bears=bool(data["bears"]),
+        tops=len(data["tops"]),
         printer=fabrication.name if fabrication and isinstance(fabrication.machine, Printer) else None,
         data=Markup(json_for_script(data)),
         script=Markup(_script()),

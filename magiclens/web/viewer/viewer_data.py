@@ -16,19 +16,22 @@ from magiclens.contract.artifacts import FloatArray, HeightField, Lens, View
 from magiclens.running.manifest import source_path, target_path
 from magiclens.running.open_run import OpenRun
 from magiclens.scenarios.base import Shot
+from magiclens.web.viewer.film import FILM_BYTES
 from magiclens.web.viewer.packing import pack_heights
 from magiclens.web.viewer.pictures import picture_uri_within, thumbnail_uri
 
-MOST_BYTES = 2_200_000
+MOST_BYTES = 2_400_000
 """Greatest length of a fragment; a page with other pictures around it stays below 3 MB."""
 LANDING_MM = 0.0025
 """Root mean square by which rounding the heights moves the points on the source that are seen, mm.
 
 It is larger if ``_HEIGHTS_BYTES`` are too few."""
-_PROGRAM_BYTES = 130_000
-"""Bytes that markup, style, script and thumbnails take, at most."""
+_PROGRAM_BYTES = 140_000 + FILM_BYTES
+"""Bytes that markup, style, script, thumbnails and the film take, at most."""
 _HEIGHTS_BYTES = 700_000
 """Most bytes of the packed heights."""
+_DESIGNED_BYTES = 350_000
+"""Most bytes of the packed heights of the design, where the lens is shown as printed first."""
 _LEAST_SOURCE_BYTES = 100_000
 """Fewest bytes of a source: below this a source loses too much, and frames are left out instead."""
 _THUMBNAIL_SIDE = 40
@@ -38,29 +41,29 @@ MOST_CHOICES = 4
 
 
 def viewer_data(lens: OpenRun) -> dict[str, Any]:
-    """Everything that the script needs, ready for JSON. A lens that names its printer is shown as it is printed.
+    """Everything that the script needs, ready for JSON; of a lens that names its printer, the printed top comes first.
 
     Raises:
         InputError: The folder has no heights.
     """
-    top = lens.top_as_made
-    heights = top.heights_mm
-    packed = pack_heights(heights, finest_step_mm(lens.plan.lens), _HEIGHTS_BYTES)
+    made = lens.top_as_made
+    tops = [_top_data(made, _HEIGHTS_BYTES)]
+    if made is not lens.top:
+        tops.append(_top_data(lens.top, _DESIGNED_BYTES))
     # base64 takes four characters for three bytes
-    room = (MOST_BYTES - _PROGRAM_BYTES) * 3 // 4 - len(packed.content)
+    room = (MOST_BYTES - _PROGRAM_BYTES - sum(len(top["heights"]) for top in tops)) * 3 // 4
     views = keep_views(lens.scene.views, room // _LEAST_SOURCE_BYTES)
     sources = list(dict.fromkeys(source_path(view) for view in views))
     labels = view_labels(lens.plan.shots())
     medium, film = lens.plan.spec.medium, len(sources) > MOST_CHOICES
     lens_data = {
-        "heights": base64.b64encode(packed.content).decode(),
-        "step": packed.step,
         "darkest": medium.black / medium.white if medium else 0.0,
-        "steepest": max(_steepest_deg(heights, lens.plan.lens), 1.0),
-        **_lens_data(lens.plan.lens, top.eye_mm),
+        "steepest": max(_steepest_deg(made.heights_mm, lens.plan.lens), 1.0),
+        **_lens_data(lens.plan.lens),
     }
     return {
         "lens": lens_data,
+        "tops": tops,
         "distance": float(np.mean([view.eye_mm[2] for view in views])) - lens.plan.lens.thickness_mm,
         "sources": [picture_uri_within(lens.folder / path, room // len(sources)) for path in sources],
         "film": film,
@@ -120,13 +123,23 @@ def _view_data(view: View, label: str, sources: list[str], folder: Path | None) 
     }
 
 
-def _lens_data(lens: Lens, eye: FloatArray | None) -> dict[str, Any]:
-    """Lengths in mm; ``base`` is the lowest and highest x, then y, of the flat bottom."""
+def _top_data(top: HeightField, most_bytes: int) -> dict[str, Any]:
+    """A top; ``base`` is the lowest and highest x, then y, of the flat bottom, mm."""
+    packed = pack_heights(top.heights_mm, finest_step_mm(top.lens), most_bytes)
+    return {
+        "heights": base64.b64encode(packed.content).decode(),
+        "step": packed.step,
+        "eye": None if top.eye_mm is None else [float(x) for x in top.eye_mm],
+        "base": _base(top.lens, top.eye_mm),
+    }
+
+
+def _lens_data(lens: Lens) -> dict[str, Any]:
+    """Lengths in mm."""
     return {
         "facets": lens.facets, "microfacets": lens.microfacets, "size": lens.size_mm, "pitch": lens.pitch_mm,
         "wall": lens.wall_mm, "bleed": lens.bleed_mm, "relief": lens.relief_mm, "thickness": lens.thickness_mm,
         "gap": lens.gap_mm, "ior": lens.ior, "source_size": lens.source_size_mm,
-        "eye": None if eye is None else [float(x) for x in eye], "base": _base(lens, eye),
     }  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-// Positions on the screen, the distance of the lens from its home, and both in words.
+// Positions on the screen.
 
 function region() {
   const w = stage.clientWidth || 600, h = stage.clientHeight || 400;
@@ -34,7 +34,7 @@ function outline(more) {
   return `M${corners.map((p) => p.map((c) => c.toFixed(1)).join(" ")).join("L")}Z`;
 }
 
-function onLens(point) {
+function onLens(pose, point) {
   const h = HALF, corners = [[-h, -h], [h, -h], [h, h], [-h, h]].map((p) => seenAt(pose, p));
   return corners.every(([x, y], k) => {
     const [u, v] = corners[(k + 1) % 4];
@@ -48,7 +48,7 @@ function place(at) {
   return `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px) rotate(${-at.angle}deg) scale(${scale})`;
 }
 
-function drawMarks() {
+function drawMarks({ pose, view, found }) {
   const drawn = outline(1.2);
   if (rim.dataset.drawn !== drawn) {
     rim.dataset.drawn = drawn;
@@ -57,75 +57,7 @@ function drawMarks() {
     rim.querySelector("line").setAttribute("y2", (foot - knob).toFixed(1));
     rim.querySelector(".mlens-handle").setAttribute("transform", `translate(0 ${knob.toFixed(1)})`);
   }
-  marks.style.transform = place(homePose(current));
+  marks.style.transform = place(homePose(view));
   rim.style.transform = place(pose);
   stage.classList.toggle("mlens-found", found);
-}
-
-// ---- the distance from home
-
-// Whether a view has the same source and eye as the current one.
-function isAlike(view) {
-  return view.source === views[current].source && view.eye.every((c, k) => Math.abs(c - views[current].eye[k]) < 1e-6);
-}
-
-// Of these views the one whose home is nearest, by turning first, and how far the lens is from it.
-function nearestHome(at) {
-  return views
-    .map((view, index) => ({ index, off: Math.hypot(at.x, at.y), turn: Math.abs(folded(at.angle - view.rotation)), fits: isAlike(view) }))
-    .filter((home) => home.fits)
-    .sort((a, b) => a.turn - b.turn || (a.index === current ? -1 : 0))[0];
-}
-
-// How far the lens is from the nearest home, as one number.
-const awayFromHome = (at) => {
-  const { off, turn } = nearestHome(at);
-  return off / lens.size + turn / 90 + Math.abs(at.lift) / lens.size;
-};
-
-// The pose, or the nearest home if that is within these distances.
-function snapped(at, within, turn, lift) {
-  const near = nearestHome(at);
-  if (near.off > within || near.turn > turn || at.lift > lift) return at;
-  current = near.index;
-  return { ...at, x: 0, y: 0, angle: at.angle - folded(at.angle - views[current].rotation), lift: 0 };
-}
-
-// Whether lens and eye are at home; marks the view as seen if the lens is.
-function checkHome() {
-  const home = homePose(current), near = nearestHome(pose);
-  const eyeOff = Math.hypot(pose.eyeX - home.eyeX, pose.eyeY - home.eyeY, pose.eyeDistance - home.eyeDistance);
-  found = near.off < 0.01 && near.turn < 0.01 && pose.lift < 0.01;
-  if (found) {
-    current = near.index;
-    seen.add(current);
-  }
-  return found && eyeOff < 0.01;
-}
-
-// ---- in words
-
-const inWords = (value, plus, minus) => (Math.abs(value) < 0.05 ? "" : `${Math.abs(value).toFixed(1).replace(/\.0$/, "")} mm ${value > 0 ? plus : minus}`);
-const listed = (items, otherwise) => items.filter(Boolean).join(", ") || otherwise;
-
-function described(atHome) {
-  const turn = folded(pose.angle);
-  const position = listed([inWords(pose.x, "right", "left"), inWords(pose.y, "up", "down"), inWords(pose.lift, "lifted", "lowered"),
-    Math.abs(turn) > 0.05 && `turned ${Math.abs(turn).toFixed(0)}° ${turn > 0 ? "left" : "right"}`], "in the middle");
-  const eye = listed([inWords(pose.eyeX, "right", "left"), inWords(pose.eyeY, "up", "down")], "straight above");
-  if (atHome) return `In place: ${views[current].label}.`;
-  const first = found ? `In place for ${views[current].label}, but seen from elsewhere` : `Lens ${position}`;
-  return `${first}. Eye ${eye}, ${pose.eyeDistance.toFixed(0)} mm away.`;
-}
-
-let saying = 0;
-function say(text) {
-  clearTimeout(saying);
-  saying = setTimeout(() => (part("readout").textContent = text), 250);
-}
-
-function hint() {
-  const others = views.some((view, k) => k !== current && view.rotation !== views[current].rotation && isAlike(view));
-  if (found) return greeted && others && seen.size === 1 ? "Now turn it: there is more to see" : "";
-  return greeted ? "" : "Drag the lens onto the outline";
 }

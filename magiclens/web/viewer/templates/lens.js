@@ -46,16 +46,16 @@ function integers(content) {
 
 // All heights on the grid lines, row 0 at +y, in the coordinate w of top.glsl. Around the facets there is one more line
 // on each side for the rim, which continues the slope of the outermost micro-facets.
-async function unpack(lens) {
+async function unpack(lens, { heights, step, eye, base }) {
   const n = lens.facets, k = lens.microfacets + 1, side = n * k + 2, basis = orthonormalPolynomials(k);
-  const coefficients = integers(await inflated(bytes(lens.heights)));
+  const coefficients = integers(await inflated(bytes(heights)));
   const grid = new Float32Array(side * side), half = new Float64Array(k * k);
   for (let facet = 0; facet < n * n; facet++) {
     const top = Math.floor(facet / n) * k + 1, left = (facet % n) * k + 1;
     half.fill(0);
     for (let p = 0, at = facet; p < k; p++) {
       for (let q = 0; q < k; q++, at += n * n) {
-        const c = coefficients[at] * lens.step;
+        const c = coefficients[at] * step;
         if (c) for (let i = 0; i < k; i++) half[i * k + q] += c * basis[p][i];
       }
     }
@@ -68,10 +68,10 @@ async function unpack(lens) {
     }
   }
   extend(grid, side, lens);
-  const eyeDistance = lens.eye ? lens.eye[2] - lens.thickness : 0;
+  const eyeDistance = eye ? eye[2] - lens.thickness : 0;
   // a height h is a logarithm: exp(h / D) = 1 + w / D, D being the distance of the cutting eye
-  if (lens.eye) for (let i = 0; i < grid.length; i++) grid[i] = eyeDistance * Math.expm1(grid[i] / eyeDistance);
-  return { grid, side, perDistance: lens.eye ? 1 / eyeDistance : 0, ...extremes(grid, eyeDistance), ...steps(grid, side, n, k) };
+  if (eye) for (let i = 0; i < grid.length; i++) grid[i] = eyeDistance * Math.expm1(grid[i] / eyeDistance);
+  return { eye, base, grid, side, perDistance: eye ? 1 / eyeDistance : 0, ...extremes(grid, eyeDistance), ...steps(grid, side, n, k) };
 }
 
 function extend(grid, side, lens) {

@@ -2,8 +2,8 @@
 
 const POSE_KEYS = ["x", "y", "angle", "lift", "eyeX", "eyeY", "eyeDistance"];
 
-function addressOfPose() {
-  const home = homePose(current), words = new URLSearchParams({ view: current });
+function addressOf({ view, pose, tab }) {
+  const home = homePose(view), words = new URLSearchParams({ view });
   for (const key of POSE_KEYS) if (Math.abs(pose[key] - home[key]) > 0.005) words.set(key, Number(pose[key].toFixed(2)));
   if (tab !== "table") words.set("tab", tab);
   return `#${words}`;
@@ -17,22 +17,12 @@ function askedByAddress() {
   return { view, tab: words.get("tab") === "solid" ? "solid" : "table", pose: { ...homePose(view), ...Object.fromEntries(given.map((key) => [key, Number(words.get(key))])) } };
 }
 
-function followAddress() {
-  const asked = askedByAddress();
-  if (!asked) return false;
-  if (views[asked.view].source !== views[current].source) table.lay(images[views[asked.view].source]);
-  current = asked.view;
-  pose = clamped(asked.pose);
-  if (tab !== asked.tab) choose(asked.tab);
-  refresh(true);
-  return true;
-}
-
-async function copyLink() {
+async function copyLink(look) {
+  const address = addressOf(look);
   try {
-    history.replaceState(null, "", addressOfPose());
+    history.replaceState(null, "", address);
   } catch {
-    location.hash = addressOfPose();
+    location.hash = address;
   }
   const copied = await navigator.clipboard?.writeText(location.href).then(() => true, () => false);
   say(copied ? "The link to this is copied." : "The address of this page now leads here.");

@@ -46,12 +46,14 @@ function topUniforms(lens, top) {
   return {
     heights: whole(0), facets: whole(lens.facets), micro: whole(lens.microfacets), pitch: lens.pitch,
     side: lens.pitch - lens.wall, size: lens.size, edge: lens.size / 2 + lens.bleed,
-    cut: lens.eye ? [lens.eye[0], lens.eye[1], top.perDistance] : [0, 0, 0], thickness: lens.thickness, base: lens.base,
+    cut: top.eye ? [top.eye[0], top.eye[1], top.perDistance] : [0, 0, 0], thickness: lens.thickness, base: top.base,
   };
 }
 
 function heightTexture(gl, top) {
   if (top.side > gl.getParameter(gl.MAX_TEXTURE_SIZE)) throw new Error("This lens is too fine for this device's graphics.");
+  gl.activeTexture(gl.TEXTURE0);
+  gl.deleteTexture(gl.getParameter(gl.TEXTURE_BINDING_2D)); // of another top
   texture(gl, 0, { MIN_FILTER: "NEAREST", MAG_FILTER: "NEAREST", WRAP_S: "CLAMP_TO_EDGE", WRAP_T: "CLAMP_TO_EDGE" });
   gl.texImage2D(gl.TEXTURE_2D, 0, gl.R32F, top.side, top.side, 0, gl.RED, gl.FLOAT, top.grid);
 }
