@@ -21,6 +21,7 @@ from browsers import listen, served
 from magiclens.cli import app
 from magiclens.contract.errors import InputError
 from magiclens.contract.stages import KINDS
+from magiclens.pages.templating import colours
 from magiclens.plan.registry import NAMED_ART, SCENARIO, STAGE, Plugin, Registry
 from magiclens.profiles.machines import machines
 from magiclens.web.gallery.docstrings import prose, sections
@@ -140,7 +141,7 @@ def test_links_to_pages_have_previews_with_whole_addresses_where_the_list_has_on
     (tmp_path / "gallery.yaml").write_text(text + "\naddress: https://lenses.example.org/a\n")
     build()
     page = (tmp_path / "site" / "lenses" / "first.html").read_text()
-    assert 'og:image" content="https://lenses.example.org/a/pictures/first/preview.jpg"' in page
+    assert re.search(r'og:image" content="https://lenses.example.org/a/pictures/first/[\w-]+-preview.jpg"', page)
     assert 'rel="canonical" href="https://lenses.example.org/a/lenses/first.html"' in page
 
 
@@ -295,13 +296,19 @@ def test_the_shipped_list_has_every_figure_of_the_paper_and_every_spec() -> None
     assert {entry.spec.name for entry in gallery.entries} == {path.name for path in (ROOT / "specs").glob("*.yaml")}
 
 
+def test_every_figure_that_shows_what_a_lens_does_is_compared() -> None:
+    compared = [entry for entry in load_gallery(ROOT / "gallery" / "gallery.yaml").entries if entry.paper]
+    assert set(re.findall(r"\d+", " ".join(entry.label for entry in compared))) == PAPER
+
+
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A gallery of two real lenses, with the project's own documentation where it needs no other runs."""
     folder = tmp_path_factory.mktemp("gallery")
     shutil.copytree(ROOT / "specs", folder / "specs")
     entries = [
-        {"name": "rotating", "spec": "specs/rotating.yaml", "title": "Two", "caption": "Two pictures.", "quick": SMALL},
+        {"name": "rotating", "spec": "specs/rotating.yaml", "title": "Two", "caption": "Two pictures.", "quick": SMALL,
+         "label": "Figure 1 of the paper", "paper": "It shows `four` pictures."},
         {"name": "worm", "spec": "specs/universal-animation.yaml", "title": "Worm", "caption": "Film.", "quick": WORM},
     ]
     (folder / "page.md").write_text(
@@ -366,6 +373,24 @@ def test_sections_of_docstrings_are_tables() -> None:
     assert returned == Text("**Returns** The picture.")
     assert isinstance(raised, Table)
     assert raised.rows == [("`ValueError`", "There is none.")]
+
+
+def test_lenses_stand_beside_the_figures_of_the_paper(site: Path) -> None:
+    text = (site / "paper.html").read_text(encoding="utf-8")
+    assert text.count("<section") == 1
+    for words in ("Figure 1 of the paper", "It shows <code>four</code> pictures.", "rotation-090: ", "PSNR as"):
+        assert words in text
+    assert 'href="paper.html"' in (site / "index.html").read_text(encoding="utf-8")
+
+
+def test_the_page_of_the_look_shows_every_colour_in_both_schemes(site: Path, browser: Browser) -> None:
+    tab = browser.new_page()
+    tab.goto((site / "docs" / "reference" / "look.html").as_uri())
+    for name, found in colours().items():
+        script = f"getComputedStyle(document.querySelector('.as-{name}')).getPropertyValue('--accent')"
+        assert tab.evaluate(script) == found["accent"]
+        assert tab.locator(f".as-{name} .swatches li").count() == len(found)
+    tab.close()
 
 
 def test_broken_links_are_found(tmp_path: Path) -> None:

@@ -9,13 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from magiclens.analysis.tolerances import _COLOURS as CURVE_COLOURS
+from magiclens.drawing.tiles import MUTED_COLOUR, PAPER_COLOUR, TEXT_COLOUR
 from magiclens.images import to_linear
-from magiclens.pages.templating import template_text
+from magiclens.pages.templating import colours
 
 PACKAGE = Path(__file__).parent.parent / "magiclens"
 TEXTS = ("ink", "muted", "accent", "edge", "green", "amber", "red")
 READABLE = 4.5
 """Least contrast of text, WCAG 2.2, level AA."""
+SEEN = 3
+"""Least contrast of lines."""
 
 
 def luminance(colour: str) -> float:
@@ -29,24 +33,26 @@ def contrast(one: str, other: str) -> float:
     return (high + 0.05) / (low + 0.05)
 
 
-def colours_of_pages() -> list[dict[str, str]]:
-    """Colours by name: in light, in dark, and on paper."""
-    blocks = re.findall(r":root \{(.*?)\}", template_text("magiclens.pages/tokens.css"), re.DOTALL)
-    found = [dict(re.findall(r"--([a-z-]+): (#[0-9a-f]{3,6})\b", block)) for block in blocks]
-    return [one for one in found if one]
-
-
 def test_contrast_of_black_on_white_is_21() -> None:
     assert contrast("#000", "#ffffff") == pytest.approx(21)
 
 
 def test_text_is_readable_in_light_in_dark_and_on_paper() -> None:
-    light, *others = colours_of_pages()
-    assert len(others) == 2
-    for colours in (light, *({**light, **other} for other in others)):
+    assert len(colours()) == 3
+    assert len({found["paper"] for found in colours().values()}) == 3
+    for found in colours().values():
         for text, ground in product(TEXTS, ("paper", "card")):
-            assert contrast(colours[text], colours[ground]) > READABLE, (text, ground)
-        assert contrast(colours["on-accent"], colours["accent"]) > READABLE
+            assert contrast(found[text], found[ground]) > READABLE, (text, ground)
+        assert contrast(found["on-accent"], found["accent"]) > READABLE
+
+
+def test_charts_have_the_colours_of_light_pages() -> None:
+    """Figures are drawn pixel by pixel, so their colours cannot come from the style sheet."""
+    light = colours()["light"]
+    assert (light["card"], light["ink"]) == (PAPER_COLOUR, TEXT_COLOUR)
+    assert contrast(MUTED_COLOUR, PAPER_COLOUR) > READABLE
+    for curve in CURVE_COLOURS:
+        assert contrast(curve, PAPER_COLOUR) > SEEN, curve
 
 
 def test_colours_are_named_in_one_place() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
 from functools import cache
 from importlib.resources import files
 from urllib.parse import quote
@@ -28,6 +30,15 @@ def template_text(template: str) -> str:
     """The text of a file in the folder ``templates`` of a package, named as for ``render_page``."""
     package, _, name = template.partition("/")
     return (files(package) / "templates" / name).read_text(encoding="utf-8")
+
+
+@cache
+def colours() -> Mapping[str, Mapping[str, str]]:
+    """The colours of all pages by name, in ``light``, in ``dark`` and on ``paper``, as the style sheet has them."""
+    blocks = re.findall(r":root \{(.*?)\}", template_text("magiclens.pages/tokens.css"), re.DOTALL)
+    found = [dict(re.findall(r"--([a-z-]+): (#[0-9a-f]{3,6})\b", block)) for block in blocks]
+    light, *others = filter(None, found)
+    return dict(zip(("light", "dark", "paper"), (light, *({**light, **other} for other in others)), strict=True))
 
 
 @cache

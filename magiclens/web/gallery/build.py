@@ -17,7 +17,7 @@ from magiclens.running.replacing import atomic_file
 from magiclens.web.gallery.docs import DOCS_FOLDER, DocPage, Library, doc_page, doc_paths, normal_path
 from magiclens.web.gallery.gallery_list import GalleryList, load_gallery
 from magiclens.web.gallery.lens import LensPage, lens_page
-from magiclens.web.gallery.pages import Link, Site
+from magiclens.web.gallery.pages import LOOK_PAGE, PAPER_PAGE, Link, Site
 from magiclens.web.gallery.parts import ReferencePage
 from magiclens.web.gallery.pictures import Album
 from magiclens.web.gallery.reference import Commands, reference_pages
@@ -91,7 +91,7 @@ def _texts(
 ) -> dict[str, str]:
     """All text files of the site by path; the front page is last, so that it appears only when the site is whole."""
     menu = {section.title: [_link(docs[normal_path(source)]) for source in section.pages] for section in gallery.docs}
-    menu["Reference"] = [*menu.get("Reference", []), *map(_link, generated)]
+    menu["Reference"] = [*menu.get("Reference", []), *map(_link, generated), Link(LOOK_PAGE, "Look of all pages")]
     site = Site(gallery, menu, lenses)
     return {
         **{name: template_text(f"{package}/{name}") for name, package in _ASSETS.items()},
@@ -99,6 +99,8 @@ def _texts(
         **{page.path: site.reference(page) for page in generated},
         **{f"lenses/{page.name}.html": site.lens(page) for page in lenses},
         f"{DOCS_FOLDER}/index.html": site.contents(),
+        LOOK_PAGE: site.look(),
+        **({PAPER_PAGE: site.paper()} if any(page.entry.paper for page in lenses) else {}),
         "index.html": site.index(),
     }
 

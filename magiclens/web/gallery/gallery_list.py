@@ -28,6 +28,9 @@ class GalleryEntry(SpecModel):
     caption: str = Field(min_length=1, description="what it is about, in a few sentences")
     label: str = Field("", description="what stands above the title, such as the paper's figure that it reproduces")
     view: str | None = Field(None, min_length=1, description="the view that the card shows; the first if left out")
+    paper: str = Field(
+        "", description="what the paper's figure shows, for the page that compares; not there if left out"
+    )
     quick: list[str] = Field([], description="key.path=value overrides of a quick build")
 
     def overrides(self, quick: bool) -> tuple[str, ...]:

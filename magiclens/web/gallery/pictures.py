@@ -64,20 +64,15 @@ class Album:
         return Picture(path, *size, alt or title, title, caption)
 
     def preview(self, source: Path, photo: Path, group: str, alt: str) -> Picture:
-        """Write a sheet and what is seen of it side by side, as JPEG of the size that previews of links have."""
-        from PIL import Image
+        """Write a sheet and what is seen of it side by side, as JPEG of the size that previews of links have.
 
-        width, height = _PREVIEW_PX
-        both = Image.new("RGB", _PREVIEW_PX, "white")
-        for k, file in enumerate((source, photo)):
-            with Image.open(file) as image:
-                side = image.convert("RGB").resize((width // 2, width // 2), Image.Resampling.LANCZOS)
-            both.paste(side, (k * width // 2, (height - side.height) // 2))
-        path = f"pictures/{group}/preview.jpg"
-        with atomic_file(self._site / path) as partial:
-            both.save(partial, "JPEG", quality=_QUALITY)
+        It is not written again if both files are older than it.
+        """
+        path = f"pictures/{group}/{photo.parent.name}-{photo.stem}-preview.jpg"
+        if not all(_is_newer(self._site / path, file) for file in (source, photo)):
+            _write_side_by_side(self._site / path, (source, photo))
         self.paths.add(path)
-        return Picture(path, width, height, alt)
+        return Picture(path, *_PREVIEW_PX, alt)
 
     def drawn(self, image: Image, group: str, name: str, alt: str) -> Picture:
         """Write a picture that code has drawn into the site."""
@@ -102,6 +97,19 @@ def _write_webp(path: Path, image: Image) -> None:
     """Write a picture as WebP, whole or not at all; equal pictures give equal bytes."""
     with atomic_file(path) as partial:
         image.save(partial, "WEBP", quality=_QUALITY, method=4)
+
+
+def _write_side_by_side(path: Path, files: tuple[Path, Path]) -> None:
+    from PIL import Image
+
+    width, height = _PREVIEW_PX
+    both = Image.new("RGB", _PREVIEW_PX, "white")
+    for k, file in enumerate(files):
+        with Image.open(file) as image:
+            side = image.convert("RGB").resize((width // 2, width // 2), Image.Resampling.LANCZOS)
+        both.paste(side, (k * width // 2, (height - side.height) // 2))
+    with atomic_file(path) as partial:
+        both.save(partial, "JPEG", quality=_QUALITY)
 
 
 def _resized(image: Image, size: tuple[int, int]) -> Image:
