@@ -615,21 +615,16 @@ def wide_mm(lens: OpenRun, view: View) -> float:
     return float(1.1 * min(max(sheet, SIDE_MM), 1.4 * SIDE_MM))
 
 
-RECORDS = "['avc1.42E01F', 'vp9'].some((codec) => MediaRecorder.isTypeSupported(`video/mp4;codecs=${codec}`))"
-
-
 def test_a_film_is_made_as_mp4_or_gif_and_ends_in_place(visit: Any, folders: dict[str, Path], tmp_path: Path) -> None:
-    without = "delete window.MediaRecorder"
-    for name, script in (("magic-lens.mp4", ""), ("magic-lens.gif", without)):
+    """A browser that says it records MP4 may record nothing; then it is a GIF, too."""
+    for kinds in (("magic-lens.mp4", "magic-lens.gif"), ("magic-lens.gif",)):
         tab = visit()
-        if name.endswith("mp4") and not tab.evaluate(RECORDS):
-            continue  # browsers are built with and without it
-        if script:
-            tab.evaluate(script)
+        if len(kinds) == 1:
+            tab.evaluate("delete window.MediaRecorder")
         with tab.expect_download(timeout=90_000) as download:
             tab.get_by_role("button", name="Film to share").click()
-        assert download.value.suggested_filename == name
-        film = tmp_path / name
+        assert download.value.suggested_filename in kinds
+        film = tmp_path / download.value.suggested_filename
         download.value.save_as(film)
         first, *_, last = read_frames(film)
         assert first.shape[:2] == (480, 480)
