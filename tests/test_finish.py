@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from pydantic import ValidationError
 from magiclens.contract.artifacts import FloatArray, HeightField, IntArray, Lens, Scene, Solid
 from magiclens.contract.errors import StageError
 from magiclens.contract.stages import Finisher
+from magiclens.geometry.solid import is_built_on_grid, solid_from_raster
 from magiclens.meshing.intersections import _is_star, cannot_cut_itself, faces_by_manifold, faces_that_cut
 from magiclens.meshing.manifold import ManifoldFinisher
 from magiclens.meshing.pymeshlab import Pymeshlab
@@ -222,6 +224,18 @@ def test_topology_agrees_with_trimesh_and_pymeshlab(breaks: Callable[[Solid], So
     if metrics["watertight"]:
         assert metrics["consistently_oriented"] == theirs.is_winding_consistent
         assert metrics["two_manifold"] == topology["is_mesh_two_manifold"]
+
+
+def test_what_is_built_on_a_grid_needs_no_search() -> None:
+    """A mesh of the same faces, of which it is not known that they are a grid's, is searched."""
+    for shape in ((2, 2), (2, 5), (4, 3)):
+        x, y = np.arange(shape[1], dtype=float), -np.arange(shape[0], dtype=float)
+        solid = solid_from_raster(x, y, np.ones(shape))
+        assert is_built_on_grid(solid)
+        assert check_topology(solid) == check_topology(replace(solid, grid=None))
+        assert not is_built_on_grid(replace(solid, faces=solid.faces[:, ::-1]))
+        assert not is_built_on_grid(replace(solid, faces=solid.faces[:-1]))
+        assert not is_built_on_grid(replace(solid, vertices=np.concatenate([solid.vertices, np.zeros((1, 3))])))
 
 
 @pytest.mark.parametrize("breaks", [with_hole, with_flipped_face, with_duplicated_face])

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 import trimesh
 
+import magiclens.geometry.solid as solid_module
 from magiclens.contract.artifacts import FloatArray, Solid
 from magiclens.geometry.solid import grid_lines, heights_of, solid_from_heights, volume
+from magiclens.meshing.validation import check_areas, check_volume
 from scenes import ABOVE, ASIDE, THICK, Eye, plane_points_mm, small_lens, surface
 
 LENS = small_lens(3, 4.0, microfacets=5, wall_mm=0.3)
@@ -35,6 +37,16 @@ def top_grid(solid: Solid) -> FloatArray:
     assert solid.grid is not None
     rows, columns = solid.grid
     return solid.vertices[: rows * columns].reshape(rows, columns, 3)
+
+
+def test_volumes_and_checks_do_not_depend_on_how_many_faces_are_looked_at_at_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    lens = bumpy(ABOVE)
+    expected = volume(lens), check_areas(lens), check_volume(lens)
+    monkeypatch.setattr(solid_module, "_FACES_AT_ONCE", 11)
+    assert (volume(lens), check_areas(lens)) == expected[:2]
+    assert check_volume(lens).metrics["volume_mm3"] == pytest.approx(volume(lens), rel=1e-12)
 
 
 @every_cut

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
+import numpy as np
 from pydantic import Field
 
 from magiclens.contract.artifacts import FloatArray, IntArray, Scene, Solid
@@ -17,6 +19,9 @@ if TYPE_CHECKING:
 
 STL_HEADER = b"magiclens, binary STL, unit: millimetre".ljust(80)
 """The first 80 bytes of an STL file. They must not begin with ``solid``, by which programs know STL files of text."""
+
+_FACES_AT_ONCE = 1 << 20
+"""So many faces are put into an STL file at a time: 50 MB of it."""
 
 
 class MeshExporter(Exporter):
@@ -95,7 +100,12 @@ def write_stl(vertices: FloatArray, faces: IntArray, path: Path) -> None:
     from trimesh import Trimesh
     from trimesh.exchange.stl import export_stl
 
-    path.write_bytes(STL_HEADER + export_stl(Trimesh(vertices, faces, process=False))[len(STL_HEADER) :])
+    with path.open("wb") as file:
+        file.write(STL_HEADER + struct.pack("<I", len(faces)))
+        for first in range(0, len(faces), _FACES_AT_ONCE):  # as many as memory has room for, however large the lens
+            corners = vertices[faces[first : first + _FACES_AT_ONCE]].reshape(-1, 3)
+            part = Trimesh(corners, np.arange(len(corners)).reshape(-1, 3), process=False)
+            file.write(export_stl(part)[len(STL_HEADER) + 4 :])
 
 
 def _trimesh(solid: Solid) -> Trimesh:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from magiclens.contract.artifacts import BoolArray, FloatArray, HeightField, IntArray, Lens, Solid
+
+_FACES_AT_ONCE = 1 << 23
+"""So many faces' corners and their products are in memory at a time: 1 GB."""
 
 
 def solid_from_heights(heights: HeightField) -> Solid:
@@ -17,7 +21,7 @@ def solid_from_heights(heights: HeightField) -> Solid:
     u, v = np.meshgrid(lines, -lines)
     top = heights.points_mm(u, v, h)
     rim = _border(*h.shape)
-    foot = _dropped(heights.points_mm(u, v, np.zeros_like(h)).reshape(-1, 3)[rim], eye)
+    foot = _dropped(heights.points_mm(u.ravel()[rim], v.ravel()[rim], np.zeros(len(rim))), eye)
     solid = solid_from_grid(top, _widened(foot, lens.floor_mm / 2), eye)
     return replace(solid, metrics={"volume_mm3": volume(solid)})
 
@@ -51,16 +55,41 @@ def solid_from_grid(top: FloatArray, floor: FloatArray, eye_mm: FloatArray | Non
     """
     rows, columns = top.shape[:2]
     vertices = np.concatenate([top.reshape(-1, 3), floor, floor.mean(axis=0, keepdims=True)])
-    faces = np.concatenate([top_faces(rows, columns), _faces_below(_border(rows, columns), rows * columns)])
-    return Solid(vertices, faces.astype(np.int32), (rows, columns), eye_mm)
+    return Solid(vertices, np.concatenate([*_faces_of_grid(rows, columns)]), (rows, columns), eye_mm)
+
+
+def _faces_of_grid(rows: int, columns: int) -> tuple[IntArray, IntArray]:
+    """The faces of ``solid_from_grid``, (F, 3) int32: those of the top, and those below."""
+    below = _faces_below(_border(rows, columns), rows * columns)
+    return top_faces(rows, columns), below.astype(np.int32)
+
+
+def is_built_on_grid(solid: Solid) -> bool:
+    """Whether a solid has the faces of ``solid_from_grid``, so that it is closed, manifold and one body."""
+    if solid.grid is None:
+        return False
+    top, below = _faces_of_grid(*solid.grid)
+    last = int(below.max())
+    return (
+        len(solid.faces) == len(top) + len(below)
+        and len(solid.vertices) == last + 1
+        and np.array_equal(solid.faces[: len(top)], top)
+        and np.array_equal(solid.faces[len(top) :], below)
+    )
+
+
+def faces_in_parts(faces: IntArray) -> Iterator[slice]:
+    """Consecutive parts of the faces of a mesh, which is too large to look at all corners at once."""
+    for first in range(0, len(faces), _FACES_AT_ONCE):
+        yield slice(first, first + _FACES_AT_ONCE)
 
 
 def top_faces(rows: int, columns: int) -> IntArray:
-    """(F, 3) the two triangles of every cell of a grid of vertices, cell after cell.
+    """(F, 3) int32, the two triangles of every cell of a grid of vertices, cell after cell.
 
     Cells are cut from their top-left to their bottom-right corner; the lower left triangle comes first.
     """
-    index = np.arange(rows * columns).reshape(rows, columns)
+    index = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
     tl, tr, bl, br = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
     return np.stack([tl, bl, br, tl, br, tr], axis=-1).reshape(-1, 3)
 
@@ -131,8 +160,11 @@ def heights_of(solid: Solid, lens: Lens) -> FloatArray | None:
 
 def volume(solid: Solid) -> float:
     """Volume in mm^3 (divergence theorem), positive for outward normals."""
-    a, b, c = (solid.vertices[solid.faces[:, k]] for k in range(3))
-    return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6)
+    sixfold = np.empty(len(solid.faces))
+    for part in faces_in_parts(solid.faces):
+        a, b, c = (solid.vertices[solid.faces[part, k]] for k in range(3))
+        sixfold[part] = np.einsum("ij,ij->i", a, np.cross(b, c))
+    return float(sixfold.sum() / 6)
 
 
 def _border(rows: int, columns: int) -> IntArray:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from magiclens.config.optional import PYMESHLAB, is_installed
 from magiclens.contract.artifacts import FloatArray, IntArray, Solid
+from magiclens.geometry.solid import faces_in_parts
 
 _TOLERANCES = 10
 """How far from a face, in manifold3d's tolerances, a point still lies on it."""
@@ -86,10 +87,13 @@ def cannot_cut_itself(solid: Solid) -> bool:
     on_top = solid.faces < solid.grid[0] * solid.grid[1]
     count = on_top.sum(axis=1)
     top, sides, floor = solid.faces[count == 3], solid.faces[(count > 0) & (count < 3)], solid.faces[count == 0]
-    if not len(top) or not len(floor) or solid.vertices[top, 2].min() <= solid.vertices[floor, 2].max():
+    if not len(top) or not len(floor):
+        return False
+    lowest = min(solid.vertices[top[part], 2].min() for part in faces_in_parts(top))
+    if lowest <= solid.vertices[floor, 2].max():
         return False
     rims = _edges_of(sides, on_top[(count > 0) & (count < 3)])
-    thinnest = min(_thinnest(seen[top]), _thinnest(seen[floor[:, ::-1]]))
+    thinnest = min(*(_thinnest(seen[top[part]]) for part in faces_in_parts(top)), _thinnest(seen[floor[:, ::-1]]))
     return 10 * _off_the_rays(seen[sides]) < thinnest and all(_is_star(seen[rim]) for rim in rims)
 
 

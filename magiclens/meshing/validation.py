@@ -9,7 +9,11 @@ from typing import Literal
 import numpy as np
 
 from magiclens.contract.artifacts import IntArray, Solid
+from magiclens.geometry.solid import faces_in_parts, is_built_on_grid
 from magiclens.meshing.intersections import cannot_cut_itself, faces_that_cut
+
+_TOPOLOGY = ("watertight", "two_manifold", "consistently_oriented", "bodies")
+"""What ``check_topology`` measures; all are 1 for a sound solid."""
 
 Search = Literal["auto", "always", "never"]
 
@@ -92,7 +96,9 @@ class MeshEdges:
 
 
 def check_topology(solid: Solid) -> Validation:
-    """Watertight, two-manifold, consistently oriented, one body."""
+    """Watertight, two-manifold, consistently oriented, one body; what is built on a grid is so by construction."""
+    if is_built_on_grid(solid):
+        return Validation(dict.fromkeys(_TOPOLOGY, 1.0), ())
     edges = MeshEdges(solid.faces, len(solid.vertices))
     one, other = edges.pairs
     flipped = edges.paired[edges.start[one] == edges.start[other]]
@@ -114,30 +120,30 @@ def check_topology(solid: Solid) -> Validation:
     if bodies > 1:
         flaws.append(Flaw("separate bodies", bodies))
     watertight = not len(edges.open) and not len(edges.crowded)
-    metrics = {
-        "watertight": float(watertight),
-        "two_manifold": float(watertight and not len(pinched)),
-        "consistently_oriented": float(not len(flipped)),
-        "bodies": float(bodies),
-    }
-    return Validation(metrics, tuple(flaws))
+    found = watertight, watertight and not len(pinched), not len(flipped), bodies
+    return Validation(dict(zip(_TOPOLOGY, map(float, found), strict=True)), tuple(flaws))
 
 
 def check_areas(solid: Solid) -> Validation:
     """No face is thinner than what float32 can tell apart at the solid's size."""
-    corners = solid.vertices[solid.faces]
-    sides = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
-    double_area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    finest = np.spacing(np.float32(np.abs(solid.vertices).max()))
-    thin = np.flatnonzero(double_area <= finest * sides.max(axis=1))
+    finest, thin_parts = np.spacing(np.float32(np.abs(solid.vertices).max())), [np.empty(0, np.int64)]
+    for part in faces_in_parts(solid.faces):
+        corners = solid.vertices[solid.faces[part]]
+        sides = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
+        double_area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        thin_parts.append(part.start + np.flatnonzero(double_area <= finest * sides.max(axis=1)))
+    thin = np.concatenate(thin_parts)
     flaws = (Flaw("faces without area", len(thin), int(solid.faces[thin[0]].min())),) if len(thin) else ()
     return Validation({"zero_area_faces": float(len(thin))}, flaws)
 
 
 def check_volume(solid: Solid) -> Validation:
     """Normals point outward. The solid must be closed and consistently oriented."""
-    a, b, c = (solid.vertices[solid.faces[:, k]] for k in range(3))
-    volume = float(np.einsum("ij,ij->", a, np.cross(b, c))) / 6
+    sixfold = 0.0
+    for part in faces_in_parts(solid.faces):
+        a, b, c = (solid.vertices[solid.faces[part, k]] for k in range(3))
+        sixfold += float(np.einsum("ij,ij->", a, np.cross(b, c)))
+    volume = sixfold / 6
     flaws = (Flaw("faces that point inward", len(solid.faces)),) if volume <= 0 else ()
     return Validation({"volume_mm3": volume, "outward_normals": float(volume > 0)}, flaws)
 

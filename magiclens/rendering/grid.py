@@ -80,8 +80,8 @@ def grid_of(solid: Solid, lens: Lens) -> Grid:
     # a copy: to numba, arrays that are read-only are another type, for which it would compile the tracer again
     eye, distance = solid.eye_mm.copy(), float(solid.eye_mm[2] - lens.thickness_mm)
     w = distance / (eye[2] - points[..., 2])
-    flat = eye[:2] + (points[..., :2] - eye[:2]) * w[..., None]
-    us, vs = flat[0, :, 0].copy(), flat[:, 0, 1].copy()
+    us = eye[0] + (points[0, :, 0] - eye[0]) * w[0]
+    vs = eye[1] + (points[:, 0, 1] - eye[1]) * w[:, 0]
     return Grid(us, vs, w, *_bounds(w), points, eye, distance, False, *height_and_floor)
 
 
