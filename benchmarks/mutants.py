@@ -79,7 +79,7 @@ FOLDERS = {
          "test_columns.py"],
     ),
     "config": Folder(
-        0.88,
+        0.92,
         ["test_spec.py", "test_plan.py", "test_profiles.py", "test_secrecy.py", "hostile/test_yaml.py",
          "hostile/test_options.py", "hostile/test_numbers.py", "hostile/test_late_errors.py",
          "hostile/test_sandbox.py"],
