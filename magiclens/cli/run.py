@@ -68,7 +68,8 @@ def run_command(
         needs = require_feasible(plan)
         manifest = kept_run(plan, folder, observer)
         if manifest is None:
-            observer.notice(estimate_text(needs))
+            if not (quiet or as_json):
+                observer.notice(estimate_text(needs))
             manifest = _run(plan, spec, overrides, folder, observer)
         print_result(lambda: _summary(folder, manifest), lambda: {"folder": str(folder), **manifest}, quiet, as_json)
 
