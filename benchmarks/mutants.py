@@ -71,10 +71,10 @@ FOLDERS = {
     "matching": Folder(
         0.86, ["test_matching.py", "test_darts.py", "test_multi_view.py", "test_scenarios.py", "test_secrecy.py"]
     ),
-    "integration": Folder(0.8, ["test_integration.py", "test_refine.py", "test_through_process.py"]),
+    "integration": Folder(0.84, ["test_integration.py", "test_refine.py", "test_through_process.py"]),
     "encoding": Folder(0.94, ["test_encoding.py", "test_universal_scenarios.py"]),
     "exporting": Folder(
-        0.76,
+        0.86,
         ["test_mesh_files.py", "test_exchange_files.py", "test_sheet.py", "test_slices.py", "test_jig.py",
          "test_columns.py"],
     ),
