@@ -620,6 +620,7 @@ def script(tmp_path: Path, spec: Path, out: str, **environment: str) -> subproce
     return subprocess.Popen(command, env={**os.environ, **variables, **environment}, stdout=subprocess.PIPE, text=True)
 
 
+@pytest.mark.tools
 def test_after_sigkill_a_plain_run_goes_on_and_the_one_after_that_does_nothing(
     write_spec: SpecWriter, tmp_path: Path, cache: Cache
 ) -> None:
@@ -635,6 +636,7 @@ def test_after_sigkill_a_plain_run_goes_on_and_the_one_after_that_does_nothing(
     assert contents(tmp_path / "out") == contents(tmp_path / "again")
 
 
+@pytest.mark.tools
 def test_two_processes_share_it(write_spec: SpecWriter, tmp_path: Path, cache: Cache) -> None:
     spec = write_spec()
     both = [script(tmp_path, spec, out) for out in ("one", "two")]

@@ -125,6 +125,7 @@ def test_specs_that_need_all_kernels_are_right(text: str, tmp_path: Path) -> Non
     assert load_plan(tmp_path / "all.yaml").matcher.stage.type in ("exhaustive", "multi-view", "dart-throwing")
 
 
+@pytest.mark.tools
 def test_a_child_whose_parent_is_killed_ends_by_itself(spec: Path, tmp_path: Path) -> None:
     parent = f"""
 import os

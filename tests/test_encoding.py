@@ -52,6 +52,7 @@ print(hashlib.sha256(seen.tobytes()).hexdigest(), bool(compilations.buffer))
 """
 
 
+@pytest.mark.tools
 def test_the_first_run_on_a_machine_gives_the_same_bytes_as_the_second(tmp_path: Path) -> None:
     """Code that numba has just compiled and the same code from its cache: fastmath would tell them apart."""
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}

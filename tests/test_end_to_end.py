@@ -24,7 +24,10 @@ def rotating(lenses: Lenses) -> Run:
     return lenses.shipped("rotating")
 
 
-LONG = {"printed-lcd", "printed-rotating", "printed-universal", "question-answer-universal"}
+LONG = {
+    "fine-detail", "multi-view", "printed-lcd", "printed-rotating", "printed-universal",
+    "question-answer-source-optimized", "question-answer-universal", "stable-zone",
+}  # fmt: skip
 """Specs whose small lenses take longest; each has a sister among the others."""
 
 
@@ -84,7 +87,8 @@ def test_the_run_folders_own_spec_gives_the_same_bytes_again(rotating: Run, lens
             assert path.read_bytes() == (again / path.relative_to(rotating.folder)).read_bytes(), path.name
 
 
-@pytest.mark.parametrize("cells", ["eye", pytest.param("vertical", marks=pytest.mark.tools)])
+@pytest.mark.tools
+@pytest.mark.parametrize("cells", ["eye", "vertical"])
 def test_every_eye_sees_its_own_target_and_no_other(lenses: Lenses, cells: str) -> None:
     run = lenses.shipped("multi-view", *(["lens.cells=vertical"] if cells == "vertical" else []))
     targets = [view.target for view in run.result.scene.views]
@@ -104,6 +108,7 @@ def test_a_milled_lens_has_no_step_above_a_tenth_of_a_millimetre(lenses: Lenses)
     assert run.manifest["views"][0]["psnr_db"] > 15
 
 
+@pytest.mark.tools
 def test_a_colour_picture_comes_out_in_colour(lenses: Lenses) -> None:
     run = lenses.shipped("fine-detail")
     (picture,) = run.result.renders["tracer"]

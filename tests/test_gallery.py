@@ -187,12 +187,14 @@ def test_what_is_up_to_date_is_not_made_again(build: Build, tmp_path: Path) -> N
     assert _bytes(tmp_path / "site") == before
 
 
+@pytest.mark.tools
 def test_only_what_changed_is_made_again(build: Build, tmp_path: Path) -> None:
     build()
     _replace(tmp_path / "gallery.yaml", "[lens.facets=3]", "[lens.facets=5]")
     assert "2 lenses, 1 to make" in build("--quick").stderr
 
 
+@pytest.mark.tools
 def test_an_interrupted_build_goes_on_where_it_was(
     build: Build, tmp_path: Path, registry: Registry, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -230,6 +232,7 @@ def test_a_lens_that_fails_stops_no_other(build: Build, tmp_path: Path, registry
     assert [path.name for path in (tmp_path / "site" / "runs").iterdir()] == ["second"]
 
 
+@pytest.mark.tools
 def test_what_the_list_no_longer_has_is_removed(build: Build, tmp_path: Path) -> None:
     build()
     text = (tmp_path / "gallery.yaml").read_text()

@@ -55,6 +55,7 @@ def test_all_kernels_are_compiled_into_that_folder() -> None:
     assert importing == {"kernels/compiler.py"}
 
 
+@pytest.mark.tools
 def test_copies_of_the_package_share_what_is_compiled(tmp_path: Path) -> None:
     """Installed in two virtual environments, or in one and in the clone that ``python -m`` looks into."""
     count = "from magiclens.kernels.add import add\nadd(2, 3)\nprint(*add.stats.cache_hits.values())"

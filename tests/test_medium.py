@@ -109,6 +109,7 @@ def test_only_the_contrast_matters(load: Any) -> None:
     np.testing.assert_allclose(bright.views[0].target, dim.views[0].target, atol=1e-6)
 
 
+@pytest.mark.tools
 def test_painted_sources_use_the_full_range_and_decoding_carries_the_black(tmp_path: Path) -> None:
     done = run(tmp_path / "universal", UNIVERSAL + GREYISH)
     painted = read_image(done.folder / "sources" / "frame-00.png")

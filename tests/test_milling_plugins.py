@@ -117,6 +117,7 @@ def run_with(exporter: str, registry: Registry, folder: Path) -> Path:
 BALL = "{shape: ball, diameter: 1mm}"
 
 
+@pytest.mark.tools
 def test_a_plugins_language_is_read_back_and_simulated(plugins: Registry, tmp_path: Path) -> None:
     tiled = f"{{type: table, cutter: {BALL}, rougher: null, stepover: 0.2mm, stock: 11mm, bed: [7mm, 20mm]}}"
     folder = run_with(tiled, plugins, tmp_path)

@@ -239,7 +239,11 @@ LARGER = {
 
 
 @pytest.mark.parametrize(
-    "scenario", [pytest.param(name, marks=[pytest.mark.sweep] * (name in LONG)) for name in LAYOUTS]
+    "scenario",
+    [
+        pytest.param(name, marks=pytest.mark.sweep if name in LONG else [pytest.mark.tools] * (name != "single"))
+        for name in LAYOUTS
+    ],
 )
 def test_every_scenarios_spec_runs(scenario: str, panda: Path, tmp_path: Path) -> None:
     new_spec(scenario, [panda] * LAYOUTS[scenario].least, tmp_path / "my.yaml")

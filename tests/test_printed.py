@@ -114,6 +114,7 @@ def test_a_very_fine_printer_costs_nothing_and_a_coarse_one_does() -> None:
     assert losses[1] > losses[0] + 1
 
 
+@pytest.mark.tools
 def test_a_flat_print_shows_the_source_as_the_design_does() -> None:
     lens = Lens(size_mm=10, source_size_mm=10, facets=3, microfacets=4, thickness_mm=8.1, wall_mm=0.002)
     design = flat(lens, (0.0, 0.0, 108.1))

@@ -309,6 +309,7 @@ def test_other_renderers_are_scored_when_the_tracer_is_not_there(sweep: Sweeper)
     assert json.loads((done.folder / "sweep.json").read_text())["combinations"][0]["psnr_db"] > 10
 
 
+@pytest.mark.tools
 def test_the_contact_sheet_has_the_values_of_the_last_key_in_columns(sweep: Sweeper) -> None:
     with Image.open(sweep("lens.facets=2,3", "seed=1,2,3").folder / "sweep.png") as sheet:
         wide = sheet.size

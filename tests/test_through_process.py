@@ -154,6 +154,7 @@ class TestRefinement:
         assert facet_slopes_deg(refined.facet_points_mm()).max() <= 20.0 + 0.1
         assert refined.metrics["step_max_mm"] == pytest.approx(0, abs=1e-9)
 
+    @pytest.mark.tools
     def test_equal_inputs_give_equal_heights_and_progress_ascends(self) -> None:
         told: list[float] = []
         one, other = (refine_through(a_scene(), a_surface(), PROCESS, t) for t in (told.append, silent))

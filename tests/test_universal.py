@@ -85,6 +85,7 @@ def test_an_injective_lens_shows_every_frame_and_nothing_strays(run: Run) -> Non
         assert score(view.source, view.target).psnr_db < 12
 
 
+@pytest.mark.tools
 def test_the_lens_does_not_depend_on_what_it_will_show(run: Run, spec: Path, tmp_path: Path) -> None:
     others = ["scenario.frames={art: worm, length: 1}", "scenario.source={type: plain, level: 0%}"]
     other = run_spec(spec, tmp_path / "other", [*others, *BARE])
@@ -94,6 +95,7 @@ def test_the_lens_does_not_depend_on_what_it_will_show(run: Run, spec: Path, tmp
     assert meshes[0] != meshes[2]
 
 
+@pytest.mark.tools
 def test_questions_stay_as_they_were_and_answers_appear(spec: Path, tmp_path: Path) -> None:
     asking = spec.with_name("questions.yaml")
     asking.write_text(QUESTIONS, encoding="utf-8")

@@ -201,6 +201,7 @@ def shown(uri: str) -> FloatArray:
         return np.asarray(image.convert("RGB"), np.float32) / 255
 
 
+@pytest.mark.tools
 def test_of_many_frames_some_are_kept_evenly(folders: dict[str, Path]) -> None:
     view = open_run(folders["rotating"]).scene.views[0]
     film = tuple(replace(view, name=f"frame-{k}", source_name=f"frame-{k}") for k in range(40))
@@ -585,6 +586,7 @@ def test_without_webgl_there_is_a_film_or_a_picture_and_a_reason(visit: Any) -> 
             tab.wait_for_function("(old) => document.querySelector('.mlens-plain img').currentSrc !== old", arg=before)
 
 
+@pytest.mark.tools
 def test_the_film_for_old_browsers_begins_with_the_sheet_and_ends_with_what_the_tracer_sees(
     folders: dict[str, Path],
 ) -> None:
