@@ -46,9 +46,14 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         done.touch()
 
 
+LONGEST = ("test_viewer", "test_docs", "test_studio_lens", "test_gallery")
+"""Files that take longest in the tools tier. They begin first, or one process works on the last of them alone."""
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Whatever asks a browser belongs to the tools tier, unless it is a sweep."""
+    items.sort(key=lambda item: LONGEST.index(item.path.stem) if item.path.stem in LONGEST else len(LONGEST))
     for item in items:
         if "browser" in getattr(item, "fixturenames", ()) and not item.get_closest_marker("sweep"):
             item.add_marker("tools")
