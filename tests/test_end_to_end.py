@@ -25,7 +25,7 @@ def rotating(lenses: Lenses) -> Run:
 
 
 LONG = {
-    "fine-detail", "multi-view", "printed-lcd", "printed-rotating", "printed-universal",
+    "fine-detail", "multi-view", "printed-lcd", "printed-rotating", "printed-single", "printed-universal",
     "question-answer-source-optimized", "question-answer-universal", "stable-zone",
 }  # fmt: skip
 """Specs whose small lenses take longest; each has a sister among the others."""

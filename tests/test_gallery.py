@@ -378,6 +378,7 @@ def test_sections_of_docstrings_are_tables() -> None:
     assert raised.rows == [("`ValueError`", "There is none.")]
 
 
+@pytest.mark.tools
 def test_lenses_stand_beside_the_figures_of_the_paper(site: Path) -> None:
     text = (site / "paper.html").read_text(encoding="utf-8")
     assert text.count("<section") == 1

@@ -209,6 +209,7 @@ def test_of_many_frames_some_are_kept_evenly(folders: dict[str, Path]) -> None:
     assert len(keep_views(film, 99)) == 40
 
 
+@pytest.mark.tools
 def test_nothing_in_the_page_can_be_taken_for_markup(folders: dict[str, Path]) -> None:
     text = viewer_page(folders["rotating"], '</title><script>alert("hi")</script>')
     assert "<script>alert" not in text
