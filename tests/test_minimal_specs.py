@@ -10,6 +10,7 @@ from ruamel.yaml import YAML
 
 from lenses import SPECS
 from magiclens import load_plan
+from magiclens.contract.errors import InputError
 from magiclens.plan.compile import Plan
 
 SCENARIOS = (
@@ -52,3 +53,9 @@ def test_a_material_that_is_not_the_machines_is_said_aloud(material: str, said: 
     notices = load_plan(path, ["fabrication.machine=sla", f"lens.material={material}"]).notices()
     assert any("usually makes lenses of photopolymer-sla" in notice for notice in notices) == said
     assert load_plan(path, ["fabrication.machine=sla"]).notices() == load_plan(path).notices()
+
+
+def test_a_type_that_is_no_name_is_refused_with_a_machine_too(tmp_path: Path) -> None:
+    settings = ["fabrication.machine=sla", "pipeline.exporters=[{type: {type: slices}}]"]
+    with pytest.raises(InputError, match=r"exporters\.0\.type: unknown exporter"):
+        load_plan(minimal("single", tmp_path), settings)

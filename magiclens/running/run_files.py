@@ -162,7 +162,8 @@ class RunFiles:
         side = math.isqrt(matrix.shape[0])  # pictures are square, so the number of rows gives their side
         if matrix.shape != (side * side, rows * columns):
             raise InputError(f"it holds a matrix of shape {matrix.shape}, which is none of this view", str(path))
-        if not ((matrix.data >= 0) & (matrix.data <= 1)).all():  # nor NaN
+        # text has no order, and NaN lies nowhere
+        if matrix.dtype.kind != "f" or not ((matrix.data >= 0) & (matrix.data <= 1)).all():
             raise InputError("it holds shares of light that are none", str(path))
         return Transport(matrix, (side, side), (rows, columns))
 
