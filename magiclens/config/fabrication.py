@@ -150,5 +150,5 @@ def _writes_slices(document: Document, profile: Profile) -> bool:
     pipeline = document.data.get("pipeline")
     exporters = pipeline.get("exporters") if isinstance(pipeline, dict) else None
     named = exporters if isinstance(exporters, list) else []
-    written = [each.get("type") for each in named if isinstance(each, dict)]
-    return any(isinstance(each, str) and each in profile.machine().exporters() for each in written)
+    ours = [*profile.machine().exporters()]  # a list, since what is written as a type may be unhashable
+    return any(isinstance(each, dict) and each.get("type") in ours for each in named)

@@ -96,10 +96,10 @@ class LayerStack(Exporter):
         if self.grey:
             share = self.grey.share_of_pixels()
             for pixels, changed in grey_layers(solid, grid, self.slicing, self.grey, weights, flat):
-                image = Image.fromarray(pixels)
-                if changed:
+                image = Image.fromarray(pixels) if changed else None
+                if image:
                     filled = float(np.array(image.histogram()) @ share)
-                yield image if changed else None, filled
+                yield image, filled
         else:
             for bitmap, changed in layers(solid, grid, self.slicing, weights, flat):
                 if changed:

@@ -140,7 +140,7 @@ def _write_pictures(lens: OpenRun, programs: Sequence[MillingProgram]) -> dict[s
     from magiclens.simulation.machining import seen_as_machined
 
     # the sources as they are printed, not as the spec gives them: an encoder may have painted them
-    scene = lens.plan.on_medium(lens.printed_scene)
+    scene = lens.lit_scene
     cut, polished = seen_as_machined(scene, lens.solid, programs)
     with atomic_folder(lens.folder / MACHINED) as pictures:
         for k, view in enumerate(scene.views):

@@ -212,7 +212,7 @@ class OpenRun:
         place = self.scene.views.index(self.view(name))
         if resolution not in self._posed:
             self._posed[resolution] = PosedLens(self._body, self.scene.lens, resolution, _SAMPLES)
-        return self._posed[resolution].picture(self._lit_scene.views[place], pose or Pose())
+        return self._posed[resolution].picture(self.lit_scene.views[place], pose or Pose())
 
     @cached_property
     def _posed(self) -> dict[int, PosedLens]:
@@ -220,7 +220,7 @@ class OpenRun:
         return {}
 
     @cached_property
-    def _lit_scene(self) -> Scene:
+    def lit_scene(self) -> Scene:
         """The scene with the light that its printed sheets reflect."""
         return self.plan.on_medium(self.printed_scene)
 
@@ -257,7 +257,7 @@ def check_run_folder(folder: str | Path, registry: Registry | None = None) -> tu
     plan = _plan_of(files, registry)
     if plan.fabrication and files.has(HEIGHTS):
         lens = OpenRun(files, plan, plan.scene())
-        pictures = rough_pictures(plan.fabrication.machine, lens._lit_scene, lens.solid)
+        pictures = rough_pictures(plan.fabrication.machine, lens.lit_scene, lens.solid)
         write_pictures(pictures, lens.scene.views[: len(pictures)], path, "as-made-rough")
     found = run_preflight(path, files.manifest, plan)
     write_preflight(found, path)

@@ -40,7 +40,7 @@ def film_uri(lens: OpenRun) -> str:
 
 def _frames(lens: OpenRun) -> Iterator[tuple[Image, int]]:
     """Pictures with how long each is shown, in milliseconds."""
-    views = lens.plan.on_medium(lens.printed_scene).views
+    views = lens.lit_scene.views
     for k in sorted({round(share * (len(views) - 1)) for share in np.linspace(0, 1, _MOST_VIEWS)}):
         frame = _Frame.of(lens, views[k])
         yield frame.without_lens(), _SHEET_MS
