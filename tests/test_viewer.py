@@ -80,11 +80,14 @@ def visit(browser: Browser, folders: dict[str, Path]) -> Iterator[Any]:
     """Opens a run's viewer; fails at the end if the page complained or asked for anything but itself."""
     contexts, complaints = [], []
 
-    def opened(name: str = "rotating", width: int = 340, height: int = 600, script: str = "", **options: Any) -> Page:
+    def opened(
+        name: str | Path = "rotating", width: int = 340, height: int = 600, script: str = "", **options: Any
+    ) -> Page:
         options = {"reduced_motion": "reduce"} | options
         contexts.append(browser.new_context(viewport={"width": width, "height": height}, **options))
         tab = contexts[-1].new_page()
-        address = (folders[name] / "view.html").as_uri()
+        folder = name if isinstance(name, Path) else folders[name]
+        address = (folder / "view.html").as_uri()
         complaints.append(listen(tab, address))
         if script:
             tab.add_init_script(script)
@@ -301,12 +304,11 @@ def test_out_of_its_place_the_lens_shows_what_the_tracer_sees(visit: Any, folder
 
 
 def test_a_lens_with_a_printer_is_shown_as_printed_and_on_request_as_designed(
-    visit: Any, folders: dict[str, Path], lenses: Lenses, tmp_path: Path
+    visit: Any, lenses: Lenses, tmp_path: Path
 ) -> None:
     printed = open_run(lenses.shipped("printed-single").folder)
-    folders["printed"] = tmp_path
     (tmp_path / "view.html").write_text(viewer_page(printed.folder), encoding="utf-8")
-    tab, view = visit("printed"), printed.printed_scene.views[0]
+    tab, view = visit(tmp_path), printed.printed_scene.views[0]
     wanted = {"As printed": printed.top_as_made, "As designed": printed.top}
     seen = {}
     for name, top in wanted.items():
@@ -542,9 +544,8 @@ def test_frames_of_a_film_are_scrubbed_and_played(
     visit: Any, folders: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("magiclens.web.viewer.viewer_data.MOST_CHOICES", 0)
-    folders["film"] = tmp_path
     (tmp_path / "view.html").write_text(viewer_page(folders["rotating"]), encoding="utf-8")
-    tab = visit("film")
+    tab = visit(tmp_path)
     tab.get_by_role("slider", name="Frame").fill("1")
     assert tab.evaluate("magiclens.view()") == 1
     tab.get_by_text("Frame 2 of 2").wait_for()
