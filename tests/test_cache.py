@@ -140,7 +140,7 @@ def registry() -> Registry:
 @pytest.fixture(autouse=True)
 def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
     """Targets are drawn coarsely."""
-    monkeypatch.setattr("magiclens.scenarios.pictures._TARGET_ART_PX", COARSE_PX)
+    monkeypatch.setattr("magiclens.scenarios.pictures.TARGET_ART_PX", COARSE_PX)
 
 
 @pytest.fixture
@@ -254,7 +254,7 @@ def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("filled")
     (folder / "toy.yaml").write_text(SPEC)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("magiclens.scenarios.pictures._TARGET_ART_PX", COARSE_PX)
+        patch.setattr("magiclens.scenarios.pictures.TARGET_ART_PX", COARSE_PX)
         plan = load_plan(folder / "toy.yaml", (), asking(Analysis("size", compute=size_of)))
         run_plan(plan, folder / "out", Watching(), Cache(folder / "cache", 10**9))
     return folder / "cache"
@@ -535,17 +535,25 @@ def test_bases_from_other_packages_count_and_so_does_our_own() -> None:
     assert source_hashes([]).keys() == {"magiclens"}
 
 
+def refuse_writing(cache: Cache, error: OSError, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From now on, no file of the cache gets its name."""
+    replace_anywhere = os.replace
+
+    def replace_elsewhere(old: Path, new: Path, **options: Any) -> None:
+        if Path(new).is_relative_to(cache.folder):
+            raise error
+        replace_anywhere(old, new, **options)
+
+    monkeypatch.setattr("magiclens.cache.store.os.replace", replace_elsewhere)
+
+
 def test_what_cannot_be_written_is_not_kept_and_that_is_said_once(
     run: Any, cache: Cache, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refuse(self: Path, *_: Any, **__: Any) -> None:
-        raise PermissionError(13, "Permission denied", str(self))
-
     plain = contents(run("plain", cache=None)[1])
-    monkeypatch.setattr(Cache, "_replacing", lambda self, path: refuse(path))
+    refuse_writing(cache, PermissionError(13, "Permission denied"), monkeypatch)
     for out in ("first", "again"):
-        cache._read_only = False
-        seen, folder = run(out)
+        seen, folder = run(out, cache=Cache(cache.folder, 10**9))
         assert contents(folder) == plain
         assert seen.notices == [
             f"nothing is kept in the cache '{cache.folder}': Permission denied; see MLENS_CACHE_DIR"
@@ -553,12 +561,14 @@ def test_what_cannot_be_written_is_not_kept_and_that_is_said_once(
 
 
 def test_a_folder_that_can_only_be_read_is_used(run: Any, cache: Cache, monkeypatch: pytest.MonkeyPatch) -> None:
+    error = OSError(30, "Read-only file system")
+
     def refuse(*_: Any, **__: Any) -> None:
-        raise OSError(30, "Read-only file system")
+        raise error
 
     run("first")
     monkeypatch.setattr("magiclens.cache.store.os.utime", refuse)
-    monkeypatch.setattr(Cache, "_replacing", lambda self, path: refuse())
+    refuse_writing(cache, error, monkeypatch)
     again, _ = run("again")
     assert (again.done, again.notices) == ([], [])
 

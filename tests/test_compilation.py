@@ -99,7 +99,7 @@ def test_no_part_fails_on_the_small_lens(part: str, spec: Path) -> None:
 
 def test_analyses_that_are_left_out_compile_nothing(spec: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """They only trace; what rendering has compiled is enough for them."""
-    for constant in ("RESOLUTION", "_MAP_RESOLUTION"):
+    for constant in ("RESOLUTION", "MAP_RESOLUTION"):
         monkeypatch.setattr(f"magiclens.analysis.tolerances.{constant}", 16)
     monkeypatch.setattr("magiclens.analysis.stable_zone.RESOLUTION", 16)
     plan = load_plan(spec)

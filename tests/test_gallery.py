@@ -166,7 +166,7 @@ def test_a_published_copy_is_the_site_and_replaces_nothing_else(build: Build, tm
 def test_what_hosts_do_not_take_is_not_published(
     build: Build, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("magiclens.web.gallery.publish._MOST_FILE_BYTES", 1000)
+    monkeypatch.setattr("magiclens.web.gallery.publish.MOST_FILE_BYTES", 1000)
     done = build("--publish", str(tmp_path / "published"))
     assert done.exit_code == 2
     assert "hosts take 1 kB a file" in done.output

@@ -11,8 +11,8 @@ import pytest
 from fabricated import bumpy, written
 from magiclens.contract.artifacts import FloatArray, Solid
 from magiclens.contract.stages import Exporter
-from magiclens.exporting import mesh_files
 from magiclens.exporting.mesh_files import Obj, Ply, Stl, write_stl
+from magiclens.geometry import solid as solid_module
 
 EXPORTERS = [Stl(), Ply(), Obj()]
 every_format = pytest.mark.parametrize("exporter", EXPORTERS, ids=[e.type for e in EXPORTERS])
@@ -106,7 +106,7 @@ def test_stl_is_binary_with_a_pinned_header_and_outward_normals(tmp_path: Path) 
 def test_an_stl_file_that_is_written_in_parts_is_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     solid = bumpy()
     write_stl(solid.vertices, solid.faces, tmp_path / "whole.stl")
-    monkeypatch.setattr(mesh_files, "_FACES_AT_ONCE", 7)
+    monkeypatch.setattr(solid_module, "FACES_AT_ONCE", 7)
     write_stl(solid.vertices, solid.faces, tmp_path / "parts.stl")
     assert (tmp_path / "parts.stl").read_bytes() == (tmp_path / "whole.stl").read_bytes()
 

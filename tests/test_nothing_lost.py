@@ -97,14 +97,14 @@ class Place:
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Place:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("magiclens.scenarios.pictures._TARGET_ART_PX", 32)
+        patch.setattr("magiclens.scenarios.pictures.TARGET_ART_PX", 32)
         return Place(tmp_path_factory.mktemp("place"))
 
 
 @pytest.fixture(autouse=True)
 def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
     """Targets are drawn coarsely: nobody looks at them."""
-    monkeypatch.setattr("magiclens.scenarios.pictures._TARGET_ART_PX", 32)
+    monkeypatch.setattr("magiclens.scenarios.pictures.TARGET_ART_PX", 32)
 
 
 @pytest.fixture(params=[True, False], ids=["swapping", "renaming"])

@@ -73,6 +73,18 @@ def test_no_public_name_means_two_things() -> None:
     assert {name: places for name, places in homes.items() if len(places) > 1} == {}
 
 
+def test_no_test_replaces_a_private_name() -> None:
+    """What a test replaces, others may replace, too: it has a public name."""
+    found = []
+    for path in (*ROOT.glob("tests/**/*.py"), *ROOT.glob("plugins/*/tests/**/*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "setattr":
+                names = [n.value for n in node.args[:2] if isinstance(n, ast.Constant) and isinstance(n.value, str)]
+                if any(word.startswith("_") and not word.startswith("__") for n in names for word in n.split(".")):
+                    found.append(f"{path.relative_to(ROOT)}:{node.lineno}")
+    assert not found
+
+
 def public_names(node: ast.stmt) -> list[str]:
     """What a statement of a module defines for others."""
     if isinstance(node, ast.FunctionDef | ast.ClassDef):

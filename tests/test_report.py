@@ -241,7 +241,7 @@ def test_a_run_writes_its_report(
     write_spec: SpecWriter, registry: Registry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("magiclens.analysis.tolerances.RESOLUTION", 16)
-    monkeypatch.setattr("magiclens.analysis.tolerances._MAP_RESOLUTION", 8)
+    monkeypatch.setattr("magiclens.analysis.tolerances.MAP_RESOLUTION", 8)
     registry.register(SimpleNamespace(mlens_analyses=builtin.mlens_analyses), Plugin("figures", "magiclens", "1"))
     run = run_plan(load_plan(write_spec(), (), registry), tmp_path / "out")
     paths = [artifact["path"] for artifact in run.manifest["artifacts"]]

@@ -438,13 +438,13 @@ def test_a_job_that_ran_when_the_studio_ended_goes_on(visit: Callable[[], Visito
 def test_a_run_that_outlived_its_studio_is_ended_before_it_begins_again(
     visit: Callable[[], Visitor], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("magiclens.studio.worker._PATIENCE_S", 0.3)
+    monkeypatch.setattr("magiclens.studio.worker.PATIENCE_S", 0.3)
     visitor = visit()
     (visitor.store.root / "hold").touch()
     job = visitor.order()
     visitor.wait(job, "running")
     lost = visitor.store.state(job)["process"]
-    visitor.worker._end_child = lambda: None  # as if the studio had been killed
+    visitor.worker.end_child = lambda: None  # as if the studio had been killed
     again = visit()
     end = time.monotonic() + 60
     while again.store.state(job).get("process") in (lost, None):

@@ -166,7 +166,7 @@ class TestRefinement:
         """Every step lowers the error by less than nine tenths, and not by less than a ten-thousandth."""
         scene, start = a_scene(), a_surface()
         for enough, taken in ((0.9, 2), (1e-4, 4)):
-            monkeypatch.setattr("magiclens.integration.through_process._ENOUGH", enough)
+            monkeypatch.setattr("magiclens.integration.through_process.ENOUGH", enough)
             told: list[float] = []
             top = WholeTop(scene, start, PROCESS)
             top.descend(top.heights_of(start), 0.25, 4, 0.3, told.append)

@@ -98,7 +98,7 @@ def test_limits_are_where_the_first_view_has_lost_three_decibels() -> None:
 
 def test_a_run_says_how_exactly_things_must_lie(lenses: Lenses, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(analysis, "RESOLUTION", 48)
-    monkeypatch.setattr(analysis, "_MAP_RESOLUTION", 24)
+    monkeypatch.setattr(analysis, "MAP_RESOLUTION", 24)
     run = lenses.shipped("rotating")
     plan = SimpleNamespace(fabrication=None)
     findings = TOLERANCES.compute(plan, run.result)  # type: ignore[arg-type]

@@ -22,7 +22,7 @@ FALL_DB = 3.0
 """By how much a picture's PSNR may fall within the tolerance."""
 RESOLUTION, SAMPLES = 128, 3
 """Pixels per side of the measured pictures, and samples per side of a pixel: a tenth of the rays of a render."""
-_MAP_RESOLUTION, _MAP_STEPS, _MAP_SIDE = 64, 13, 468
+MAP_RESOLUTION, _MAP_STEPS, _MAP_SIDE = 64, 13, 468
 """Pixels per side of the pictures of the map, places along its side, and its own side in pixels."""
 _MOST_VIEWS = 4
 """Number of views that are measured; an animation has many more, which look from one place."""
@@ -140,7 +140,7 @@ def tolerances(scene: Scene, solid: Solid) -> Tolerances:
     responses = [response for responses in side_by_side(bench.responses, _AXES) for response in responses]
     found = {response.field: response for response in responses}
     reach = 2 * max(found["shift_x_mm"].tolerance, found["shift_y_mm"].tolerance)
-    shifts, coarse = np.linspace(-reach, reach, _MAP_STEPS), _Bench(scene, solid, views, _MAP_RESOLUTION)
+    shifts, coarse = np.linspace(-reach, reach, _MAP_STEPS), _Bench(scene, solid, views, MAP_RESOLUTION)
     rows = side_by_side(lambda y: [coarse.mean_psnr_db(Pose(shift_x_mm=x, shift_y_mm=y)) for x in shifts], -shifts)
     return Tolerances(found, shifts, np.array(rows))
 

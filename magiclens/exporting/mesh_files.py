@@ -13,15 +13,13 @@ from magiclens.contract.artifacts import FloatArray, IntArray, Scene, Solid
 from magiclens.contract.stages import Exporter
 from magiclens.contract.units import Angle
 from magiclens.geometry.decimation import decimated
+from magiclens.geometry.solid import faces_in_parts
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
 STL_HEADER = b"magiclens, binary STL, unit: millimetre".ljust(80)
 """The first 80 bytes of an STL file. They must not begin with ``solid``, by which programs know STL files of text."""
-
-_FACES_AT_ONCE = 1 << 20
-"""So many faces are put into an STL file at a time: 50 MB of it."""
 
 
 class MeshExporter(Exporter):
@@ -102,8 +100,8 @@ def write_stl(vertices: FloatArray, faces: IntArray, path: Path) -> None:
 
     with path.open("wb") as file:
         file.write(STL_HEADER + struct.pack("<I", len(faces)))
-        for first in range(0, len(faces), _FACES_AT_ONCE):  # as many as memory has room for, however large the lens
-            corners = vertices[faces[first : first + _FACES_AT_ONCE]].reshape(-1, 3)
+        for few in faces_in_parts(faces):
+            corners = vertices[faces[few]].reshape(-1, 3)
             part = Trimesh(corners, np.arange(len(corners)).reshape(-1, 3), process=False)
             file.write(export_stl(part)[len(STL_HEADER) + 4 :])
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from magiclens.contract.artifacts import BoolArray, FloatArray, HeightField, IntArray, Lens, Solid
 
-_FACES_AT_ONCE = 1 << 23
-"""So many faces' corners and their products are in memory at a time: 1 GB."""
+FACES_AT_ONCE = 1 << 20
+"""So many faces' corners and their products are in memory at a time: some 100 MB."""
 
 
 def solid_from_heights(heights: HeightField) -> Solid:
@@ -80,8 +80,8 @@ def is_built_on_grid(solid: Solid) -> bool:
 
 def faces_in_parts(faces: IntArray) -> Iterator[slice]:
     """Consecutive parts of the faces of a mesh, which is too large to look at all corners at once."""
-    for first in range(0, len(faces), _FACES_AT_ONCE):
-        yield slice(first, first + _FACES_AT_ONCE)
+    for first in range(0, len(faces), FACES_AT_ONCE):
+        yield slice(first, first + FACES_AT_ONCE)
 
 
 def top_faces(rows: int, columns: int) -> IntArray:

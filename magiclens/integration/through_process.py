@@ -47,7 +47,7 @@ _ITERATIONS = 16
 """Iterations of conjugate gradients per step."""
 _SMOOTH_MM = 1.0
 """Length of the Sobolev metric: changes of the surface that are shorter cost more."""
-_ENOUGH = 2e-3
+ENOUGH = 2e-3
 """Two steps in turn that each lower the error by a smaller share end a blur."""
 _LOOK_UPS = 3
 """Look-ups of the source along a cell's side. With 2, what lies between them is missed, which costs 0.4 dB."""
@@ -195,7 +195,7 @@ class WholeTop:
             damping *= np.where(now > was, _WORSE, np.where(now < 0.9 * was, _BETTER, 1.0)).astype(np.float32)
             trial_error = _mean_square(after)
             if trial_error < error:
-                little = little + 1 if trial_error > (1 - _ENOUGH) * error else 0
+                little = little + 1 if trial_error > (1 - ENOUGH) * error else 0
                 heights, residuals, error = trial, after, trial_error
             else:
                 damping *= _WORSE

@@ -134,16 +134,16 @@ def build_raster(
     blocks = np.zeros(shape, np.float32)
     split(block_means(plain, y.skip, x.skip), blocks)
     rests = np.zeros((1, *shape[1:]), np.float32)
-    split(patch_rests(plain, x.skip, y.skip, pixels)[None], rests)
+    split(patch_rests(plain, y.skip, x.skip, pixels)[None], rests)
     return samples[:, 0], blocks, rests[0]
 
 
-def patch_rests(plain: FloatArray, skip_x: int, skip_y: int, pixels: int) -> FloatArray:
+def patch_rests(plain: FloatArray, skip_y: int, skip_x: int, pixels: int) -> FloatArray:
     """How much the patch that begins at each sample varies within its blocks: the norm of what block means leave out.
 
     Args:
         plain: (C, Y, X) float32 display values.
-        skip_x, skip_y: samples between two neighbouring pixels of a patch.
+        skip_y, skip_x: samples between two neighbouring pixels of a patch.
         pixels: P, along a patch's side.
 
     Returns:

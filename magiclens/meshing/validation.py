@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from magiclens.contract.artifacts import IntArray, Solid
-from magiclens.geometry.solid import faces_in_parts, is_built_on_grid
+from magiclens.geometry.solid import faces_in_parts, is_built_on_grid, volume
 from magiclens.meshing.intersections import cannot_cut_itself, faces_that_cut
 
 _TOPOLOGY = ("watertight", "two_manifold", "consistently_oriented", "bodies")
@@ -139,13 +139,9 @@ def check_areas(solid: Solid) -> Validation:
 
 def check_volume(solid: Solid) -> Validation:
     """Normals point outward. The solid must be closed and consistently oriented."""
-    sixfold = 0.0
-    for part in faces_in_parts(solid.faces):
-        a, b, c = (solid.vertices[solid.faces[part, k]] for k in range(3))
-        sixfold += float(np.einsum("ij,ij->", a, np.cross(b, c)))
-    volume = sixfold / 6
-    flaws = (Flaw("faces that point inward", len(solid.faces)),) if volume <= 0 else ()
-    return Validation({"volume_mm3": volume, "outward_normals": float(volume > 0)}, flaws)
+    volume_mm3 = volume(solid)
+    flaws = (Flaw("faces that point inward", len(solid.faces)),) if volume_mm3 <= 0 else ()
+    return Validation({"volume_mm3": volume_mm3, "outward_normals": float(volume_mm3 > 0)}, flaws)
 
 
 def check_self_intersections(solid: Solid, reason: bool, find: FaceSearch = faces_that_cut) -> Validation:

@@ -53,8 +53,7 @@ def check_bed(file: MeshFile, machine: Machine | None) -> Finding:
     if machine is None:
         return Finding("bed", "grey", f"{extent}; no machine is named")
     room = machine.bed
-    flat = sorted(sides[:2]) <= sorted(room[:2]) and max(sides[:2]) <= max(room[:2])
-    fits = flat and sides[2] <= room[2]
+    fits = machine.has_room_for(sides)
     text = f"{extent} on a bed of {room[0]:g} x {room[1]:g} x {room[2]:g} mm"
     tiled: Status = "amber" if isinstance(machine, Mill) and sides[2] <= room[2] else "red"
     return Finding("bed", "green" if fits else tiled, text + ("" if fits else "; it would have to be made in tiles"))

@@ -91,7 +91,6 @@ def _possible(file: MeshFile, normals: FloatArray, printer: Printer) -> Iterator
             for sign in (1, -1):
                 tilt = Tilt.model_validate({"about": about, "angle": ANGLE.text(sign * angle)})
                 box, turned = tilt.box_mm(sides), normals @ tilt.turn.T
-                fits = (np.sort(box[:2]) <= np.sort(printer.bed[:2])).all() and box[2] <= printer.bed[2]
                 faces_up = np.hypot(turned[:, 0], turned[:, 1]) < steepest * turned[:, 2]
-                if fits and np.mean(faces_up) > _UPWARD:
+                if printer.has_room_for(box) and np.mean(faces_up) > _UPWARD:
                     yield tilt

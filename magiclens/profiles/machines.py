@@ -9,6 +9,7 @@ from functools import cache
 from types import MappingProxyType
 from typing import Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from magiclens.contract.artifacts import FloatArray, Lens
@@ -73,6 +74,12 @@ class Machine(BaseModel, ABC):
             wall_mm: Width of the walls between facets.
             cells: What facets are cut along, see ``Lens``.
         """
+
+    def has_room_for(self, sides_mm: FloatArray) -> bool:
+        """Whether a part fits, turned by a quarter if need be: its width, depth and height as it stands, mm."""
+        bed = np.array(self.bed)
+        flat = np.sort(sides_mm[:2]) <= np.sort(bed[:2])
+        return bool(flat.all() and sides_mm[2] <= bed[2])
 
     def facets_for(self, size_mm: float) -> int:
         """How many facets along a side suit this machine: what ``lens.facets: auto`` stands for."""
@@ -206,6 +213,12 @@ class Printer(Machine):
     def rim_mm(self, lens: Lens, distance_mm: float) -> float:
         """How far the body's edge is rounded off, and how far the eye looks past the edge of facets that are low."""
         return self.linear_process.reach_mm + lens.relief_mm * lens.size_mm / 2 / distance_mm
+
+    def has_room_for(self, sides_mm: FloatArray) -> bool:
+        """Whether a part fits, turned by a quarter if need be: its width, depth and height as it stands, mm."""
+        bed = np.array(self.bed)
+        flat = np.sort(sides_mm[:2]) <= np.sort(bed[:2])
+        return bool(flat.all() and sides_mm[2] <= bed[2])
 
     def facets_for(self, size_mm: float) -> int:
         """So many that the rounded strips between them take a fifth of the lens, see ``LinearProcess.strip_mm``."""

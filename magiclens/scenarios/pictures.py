@@ -36,7 +36,7 @@ _LEAST_RADIUS_MM = 0.05
 """Smallest radius of a disc; millions of smaller ones would be needed, and no source has such fine pixels."""
 _MOST_RADIUS_MM = 10_000.0
 """Largest radius of a disc: no source is larger."""
-_TARGET_ART_PX = 1024
+TARGET_ART_PX = 1024
 """Side of targets that are drawn, which is finer than any render."""
 
 
@@ -300,11 +300,11 @@ class Target(AdjustedPicture):
 
     def _picture(self, art: Art) -> FloatArray:
         if self.art is not None:
-            return art[self.art](_TARGET_ART_PX)
+            return art[self.art](TARGET_ART_PX)
         if self.text is not None:
             from magiclens.images.text import text
 
-            return text(self.text, _TARGET_ART_PX)
+            return text(self.text, TARGET_ART_PX)
         from magiclens.images.files import read_image
 
         return read_image(self.image or "")

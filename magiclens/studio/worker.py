@@ -19,7 +19,7 @@ from magiclens.studio.store import StudioFolder
 
 _MLENS = (sys.executable, "-P", "-m", "magiclens")
 """The command line; with ``-P`` nothing in a job's folder is taken for a module."""
-_PATIENCE_S = 10.0
+PATIENCE_S = 10.0
 """How long a process that was asked to end may take."""
 _MOST_WORDS = 2000
 """Letters of a message that are kept."""
@@ -53,8 +53,8 @@ class Worker:
         with self._wake:
             self._ending = True
             self._wake.notify_all()
-        self._end_child()
-        self._thread.join(2 * _PATIENCE_S)
+        self.end_child()
+        self._thread.join(2 * PATIENCE_S)
 
     def ask(self, job: str, want: str) -> None:
         """Queue a draft or the full design of a job that neither waits nor runs; it has no effect on others."""
@@ -77,7 +77,7 @@ class Worker:
             elif self._store.state(job)["state"] == "waiting":
                 self._store.change(job, state="cancelled", said="")
         if running:
-            self._end_child()
+            self.end_child()
 
     def _work(self) -> None:
         while True:
@@ -140,12 +140,13 @@ class Worker:
             self._store.change(job, said=last[:_MOST_WORDS], done=done)
         return last
 
-    def _end_child(self) -> None:
+    def end_child(self) -> None:
+        """End the run that goes on, if one does; it is killed if it does not end by itself."""
         child = self._child
         if child and child.poll() is None:
             child.terminate()
             try:
-                child.wait(_PATIENCE_S)
+                child.wait(PATIENCE_S)
             except subprocess.TimeoutExpired:
                 child.kill()
 
@@ -157,7 +158,7 @@ def _end_left_run(process: int | None, folder: Path) -> None:
     """
     with suppress(OSError):  # it has ended
         for kind in (signal.SIGTERM, signal.SIGKILL):
-            end = time.monotonic() + _PATIENCE_S
+            end = time.monotonic() + PATIENCE_S
             if process and _works_in(process, folder):
                 os.kill(process, kind)
             while process and _works_in(process, folder) and time.monotonic() < end:

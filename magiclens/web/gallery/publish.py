@@ -9,7 +9,7 @@ from magiclens.cache.folder import size_text
 from magiclens.contract.errors import InputError
 from magiclens.running.replacing import atomic_folder
 
-_MOST_FILE_BYTES, _MOST_SITE_BYTES = 100_000_000, 1_000_000_000
+MOST_FILE_BYTES, _MOST_SITE_BYTES = 100_000_000, 1_000_000_000
 """What GitHub takes: the largest file, and the largest site."""
 _AS_IT_IS = ".nojekyll"
 """Tells GitHub Pages to serve the files as they are."""
@@ -37,8 +37,8 @@ def publish_gallery(site: Path, place: Path) -> None:
     check_place(place)
     sizes = {path: path.stat().st_size for path in site.rglob("*") if path.is_file() and not _is_hidden(path, site)}
     largest, total = max(sizes, key=lambda path: sizes[path]), sum(sizes.values())
-    if sizes[largest] > _MOST_FILE_BYTES:
-        raise InputError(f"{largest} has {size_text(sizes[largest])}; hosts take {size_text(_MOST_FILE_BYTES)} a file")
+    if sizes[largest] > MOST_FILE_BYTES:
+        raise InputError(f"{largest} has {size_text(sizes[largest])}; hosts take {size_text(MOST_FILE_BYTES)} a file")
     if total > _MOST_SITE_BYTES:
         raise InputError(f"'{site}' has {size_text(total)}, hosts take {size_text(_MOST_SITE_BYTES)}; use --quick")
     with atomic_folder(place) as folder:

@@ -22,7 +22,7 @@ _Result = TypeVar("_Result")
 
 _TIMEOUT = "10s"
 """Longest time that a scheduler may take to answer."""
-_PATIENCE_S = 5.0
+PATIENCE_S = 5.0
 """Seconds without any worker after which the user is told how to start one, and between two looks for workers."""
 
 _one_at_a_time = threading.Lock()
@@ -138,7 +138,7 @@ def wait_for_a_worker(client: Client, wait_s: float) -> None:
         advice = f"start one on any machine: dask worker {scheduler} --nthreads 1"
         if waited > wait_s:
             raise InputError(f"no worker of {scheduler} for {wait_s:g} seconds; {advice}", "wait_s")
-        if waited > _PATIENCE_S and not told:
+        if waited > PATIENCE_S and not told:
             print(f"note: {scheduler} has no worker; {advice}", file=sys.stderr, flush=True)
             told = True
         time.sleep(0.1)
@@ -159,7 +159,7 @@ def _wait_for(client: Client, future: Any, wait_s: float) -> None:
     while not future.done():
         wait_for_a_worker(client, wait_s)
         with suppress(TimeoutError):
-            wait(future, _PATIENCE_S)
+            wait(future, PATIENCE_S)
 
 
 def _itself(function: Callable[[_Item], _Result]) -> Callable[[_Item], _Result]:
