@@ -12,8 +12,11 @@ from magiclens.contract.errors import InputError
 from magiclens.geometry.facets import edge_models
 from magiclens.geometry.solid import solid_from_heights
 from magiclens.integration.poisson import Poisson
+from magiclens.optics.medium import slab_of
 from magiclens.optics.walls import DOWN, RIGHT
+from magiclens.rendering.grid import grid_of
 from magiclens.rendering.tracer import Tracer, trace
+from magiclens.rendering.tracer_kernels import PictureRows, trace_rows
 from magiclens.rendering.transports import transport
 from scenes import (
     ABOVE,
@@ -510,6 +513,19 @@ def test_every_facet_shows_the_patch_it_was_assigned(eye: Eye, cells: str, gap: 
         fit = np.linalg.lstsq(quadratic, seen[:, :2], rcond=None)[0]
         np.testing.assert_allclose(fit[0] - centres[i, j], wanted.offsets_mm[i, j], atol=atol)
         np.testing.assert_allclose(fit[1:3], [[xx[i, j], xy[i, j]], [xy[i, j], yy[i, j]]], atol=3 * atol)
+
+
+@pytest.mark.parametrize("cut", [None, ABOVE])
+def test_light_that_is_known_to_meet_nothing_more_is_not_followed_and_ends_where_it_would(cut: Eye | None) -> None:
+    lens, rng = small_lens(3, 4.0, microfacets=12, source=24.0), np.random.default_rng(4)
+    heights = rng.uniform(-0.6, 0.6, (3, 3, 1, 1)) + rng.uniform(-0.05, 0.05, (3, 3, 13, 13))
+    grid, eye = grid_of(solid_from_heights(surface(lens, heights, cut)), lens), np.array(ABOVE, float)
+    assert 0.2 < np.mean(grid.gentle > 0) < 1
+    rows = PictureRows(lens.size_mm, 64, 4, 0, 64)
+    shortened, followed = (
+        trace_rows(way, slab_of(lens), eye, rows) for way in (grid, grid._replace(gentle=np.zeros_like(grid.gentle)))
+    )
+    np.testing.assert_array_equal(shortened, followed)
 
 
 def test_a_free_mesh_is_for_other_renderers() -> None:

@@ -17,6 +17,10 @@ from magiclens.contract.errors import InputError
 
 BLOCK_CELLS = 8
 """Cells along a side of the blocks whose heights are bounded, so that rays pass over them, or below, at little cost."""
+_GENTLE = 2.0
+"""Slope below which a cell counts as gentle: facets' are; rays that light follows into the glass fall more steeply."""
+_NARROW = 0.5
+"""Cells count as steep, too, if they are narrower than this share of an ordinary one: they belong to walls."""
 
 
 class Grid(NamedTuple):
@@ -30,6 +34,10 @@ class Grid(NamedTuple):
         highs: w of its highest vertex.
         nearby: w of the lowest vertex of each block and of the eight around it.
         lowest: w of the lowest vertex of all.
+        gentle: (rows - 1, columns - 1) float32, how far around each cell, in u or v, no cell is steeper than
+            ``gentlest``, mm.
+        gentlest: the slope, in w over u and v together, that rays have to exceed to leave a gentle cell for good.
+        block_mm: least width of a whole block, in u or v.
         points: (rows, columns, 3) the vertices in space, mm.
         cut_eye: (3,) the cutting eye, mm, or (0, 0, 0) for vertical cells.
         eye_distance: D, the cutting eye's distance from the reference plane, mm; 1 for vertical cells.
@@ -48,6 +56,9 @@ class Grid(NamedTuple):
     highs: FloatArray
     nearby: FloatArray
     lowest: float
+    gentle: FloatArray
+    gentlest: float
+    block_mm: float
     points: FloatArray
     cut_eye: FloatArray
     eye_distance: float
@@ -76,13 +87,16 @@ def grid_of(solid: Solid, lens: Lens) -> Grid:
     height_and_floor = float(points[..., 2].max()), *_floor(solid.vertices[rows * columns :])
     if solid.eye_mm is None:
         us, vs, ws = points[0, :, 0].copy(), points[:, 0, 1].copy(), points[..., 2].copy()
-        return Grid(us, vs, ws, *_bounds(ws), points, np.zeros(3), 1.0, True, *height_and_floor)
+        bounds = *_bounds(ws), *_gentle(us, vs, ws, _GENTLE)
+        return Grid(us, vs, ws, *bounds, points, np.zeros(3), 1.0, True, *height_and_floor)
     # a copy: to numba, arrays that are read-only are another type, for which it would compile the tracer again
     eye, distance = solid.eye_mm.copy(), float(solid.eye_mm[2] - lens.thickness_mm)
     w = distance / (eye[2] - points[..., 2])
     us = eye[0] + (points[0, :, 0] - eye[0]) * w[0]
     vs = eye[1] + (points[:, 0, 1] - eye[1]) * w[:, 0]
-    return Grid(us, vs, w, *_bounds(w), points, eye, distance, False, *height_and_floor)
+    # a slope in w is one in space over the eye's distance, near the reference plane
+    bounds = *_bounds(w), *_gentle(us, vs, w, _GENTLE / distance)
+    return Grid(us, vs, w, *bounds, points, eye, distance, False, *height_and_floor)
 
 
 def _bounds(ws: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, float]:
@@ -96,6 +110,23 @@ def _bounds(ws: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, float]:
     around = np.pad(lows, 1, mode="edge")
     nearby = np.lib.stride_tricks.sliding_window_view(around, (3, 3)).min(axis=(2, 3))
     return lows, highs, nearby, float(lows.min())
+
+
+def _gentle(us: FloatArray, vs: FloatArray, ws: FloatArray, slope: float) -> tuple[FloatArray, float, float]:
+    """``gentle``, ``gentlest`` and ``block_mm`` of a ``Grid``."""
+    from scipy.ndimage import distance_transform_cdt
+
+    wide, tall = np.diff(us), -np.diff(vs)[:, None]
+    across, down = np.abs(np.diff(ws, axis=1)) / wide, np.abs(np.diff(ws, axis=0)) / tall
+    # along a way that is as long in u or in v, the larger of both, the surface rises by no more than both slopes
+    steepness = np.maximum(across[:-1] + down[:, 1:], across[1:] + down[:, :-1])
+    least = _NARROW * max(np.median(wide), np.median(tall))
+    ordinary = (wide >= least) & (tall >= least)
+    cells = distance_transform_cdt(np.pad((steepness < slope) & ordinary, 1, constant_values=True), "chessboard")
+    narrowest = min(wide[wide >= least].min(), tall[tall >= least].min())
+    gentle = np.maximum(cells[1:-1, 1:-1] - 1, 0) * np.float32(narrowest)
+    blocks = [np.diff(np.abs(lines[::BLOCK_CELLS])).min(initial=np.inf) for lines in (us - us[0], vs - vs[0])]
+    return gentle, slope, float(min(blocks))
 
 
 def _floor(below: FloatArray) -> tuple[float, float, float, float]:

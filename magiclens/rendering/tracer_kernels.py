@@ -16,6 +16,7 @@ from magiclens.contract.artifacts import FloatArray
 from magiclens.kernels.compiler import njit
 from magiclens.kernels.sampling import rotated_grid
 from magiclens.kernels.threads import in_threads
+from magiclens.kernels.uncounted import uncounted
 from magiclens.optics.medium import Slab
 from magiclens.optics.refraction import refract, transmittance
 from magiclens.rendering.grid import BLOCK_CELLS, Grid
@@ -56,6 +57,7 @@ class PictureRows(NamedTuple):
 @njit(cache=True, nogil=True)
 def _trace_part(part, grid, slab, eye, rows, hits):
     """Part of the rows, see ``trace_rows``; hits: to fill."""
+    grid = uncounted(grid)
     samples = rows.samples
     pixel = rows.size / rows.resolution
     places = np.zeros((samples * samples, 2))
@@ -131,8 +133,11 @@ def _follow(grid, slab, eye, through, near):
             break
         reach = (grid.highest + 2 * _CLEARANCE_MM - z) / dz if dz > 0.0 else -z / dz
         u1, v1, w1 = _to_grid(grid, x + dx * reach, y + dy * reach, z + dz * reach)
-        # the triangle on which a segment starts is left out, or rounding would find it crossed at once
-        at, r, c, half = _march(grid, (u0, v0, w0), (u1, v1, w1), (r, c), half, inside)
+        if inside and _sinks(grid, (u0, v0, w0), (u1, v1, w1), (r, c)):
+            at = _end(grid, u1, v1)
+        else:
+            # the triangle on which a segment starts is left out, or rounding would find it crossed at once
+            at, r, c, half = _march(grid, (u0, v0, w0), (u1, v1, w1), (r, c), half, inside)
         if at >= _MISSED:
             lands = inside and dz < 0.0
             if lands and at == _LEFT_GRID:  # beyond the last facet the slab goes on as far as its sides lean out
@@ -172,6 +177,29 @@ def _to_source(point, direction, weight, slab):
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
+def _sinks(grid, start, end, cell):
+    """Whether a segment that starts on the surface, and into the glass, will meet it no more: most do not.
+
+    Where the surface is gentle, a steeper segment stays below it. Where that ends, it has to be below all blocks
+    around, and where these end, below everything.
+    """
+    (u0, v0, w0), (u1, v1, w1), (r, c) = start, end, cell
+    aside, fall = max(abs(u1 - u0), abs(v1 - v0)), w0 - w1
+    return (
+        fall > grid.gentlest * aside
+        and (w0 - grid.nearby[r // BLOCK_CELLS, c // BLOCK_CELLS]) * aside < grid.gentle[r, c] * fall
+        and (w0 - grid.lowest) * aside < grid.block_mm * fall
+    )
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _end(grid, u1, v1):
+    """What ``_march`` says of a segment that meets no surface, by u and v of its end."""
+    us, vs = grid.us, grid.vs
+    return _MISSED if us[0] <= u1 <= us[-1] and vs[-1] <= v1 <= vs[0] else _LEFT_GRID
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
 def _march(grid, start, end, cell, skipped, inside):
     """Follow a segment through the grid's cells until it crosses the surface.
 
@@ -206,8 +234,7 @@ def _march(grid, start, end, cell, skipped, inside):
             away_u = ((us[right] if du > 0 else us[left]) - u0) / du if du != 0.0 else 2.0
             away_v = ((vs[upper] if dv > 0 else vs[lower]) - v0) / dv if dv != 0.0 else 2.0
             if w0 + min(away_u, away_v, 1.0) * dw < grid.lowest:
-                stays = us[0] <= u1 <= us[-1] and vs[-1] <= v1 <= vs[0]
-                return _MISSED if stays else _LEFT_GRID, r, c, _EITHER
+                return _end(grid, u1, v1), r, c, _EITHER
         out_u = ((us[c + 1] if du > 0 else us[c]) - u0) / du if du != 0.0 else 2.0
         out_v = ((vs[r] if dv > 0 else vs[r + 1]) - v0) / dv if dv != 0.0 else 2.0
         leave = min(out_u, out_v, 1.0)
