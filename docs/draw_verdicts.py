@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from magiclens.contract.artifacts import FloatArray
-from magiclens.images import art, resize, score, to_linear, write_png
+from magiclens.images import art, luminance, resize, score, to_linear, write_png
 from magiclens.images.likeness import likeness, word_for
 from magiclens.images.text import text
 
@@ -33,6 +33,16 @@ def photograph() -> FloatArray:
     import skimage.data
 
     return resize(to_linear(skimage.data.astronaut() / 255), (SIDE, SIDE))
+
+
+def coloured() -> FloatArray:
+    """A green heart on red of the same brightness."""
+    red, green = (1.0, 0.0, 0.0), (0.0, 0.2126 / 0.7152, 0.0)
+    return np.where(art("heart", SIDE)[..., :1] > 0.5, np.float32(green), np.float32(red))
+
+
+def greyed(picture: FloatArray) -> FloatArray:
+    return luminance(picture)[..., None]
 
 
 def netted(picture: FloatArray, lines: int, wide_px: int, level: float) -> FloatArray:
@@ -64,12 +74,14 @@ EXAMPLES: Mapping[str, tuple[Callable[[], FloatArray], Callable[[FloatArray], Fl
     "letter-thin-lines": (letter, lambda p: np.asarray(0.5 * p + 0.5 * netted(p, 7, 1, 0.5), np.float32), "clear"),
     "drawing-noisy": (drawing, lambda p: np.asarray(0.6 * p + 0.4 * noise(p), np.float32), "clear"),
     "photograph-thin-lines": (photograph, lambda p: netted(p, 24, 1, 0.0), "clear"),
+    "photograph-grey": (photograph, greyed, "clear"),
     "letter-blurred": (letter, lambda p: blurred(p, 4), "recognisable"),
     "drawing-net": (drawing, lambda p: netted(p, 24, 3, 0.0), "recognisable"),
     "photograph-net": (photograph, lambda p: netted(p, 24, 2, 0.0), "recognisable"),
     "letter-scattered": (letter, lambda p: mixed(p, 0.3), "hard to see"),
     "drawing-blurred": (drawing, lambda p: blurred(p, 7), "hard to see"),
     "photograph-half-scattered": (photograph, lambda p: mixed(p, 0.3), "hard to see"),
+    "heart-grey": (coloured, greyed, "lost"),
     "letter-noise": (letter, noise, "lost"),
     "drawing-scattered": (drawing, lambda p: mixed(p, 0.05), "lost"),
     "photograph-scattered": (photograph, lambda p: mixed(p, 0.05), "lost"),

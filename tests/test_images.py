@@ -27,7 +27,7 @@ from magiclens.images import (
     to_linear,
     write_png,
 )
-from magiclens.images.likeness import likeness, resolved_px
+from magiclens.images.likeness import likeness, resolved_px, word_for
 from magiclens.images.resample import pixels_touching
 
 
@@ -354,6 +354,24 @@ def test_what_is_finer_than_the_eye_resolves_does_not_count() -> None:
     dither = target * np.where(np.indices((400, 400)).sum(axis=0) % 2, 0.2, 1.0)[..., None].astype(np.float32)
     assert likeness(dither, target, 200) > likeness(dither, target) + 0.02
     assert likeness(dither, target, 200) > 0.99
+
+
+def test_a_shape_that_only_its_colours_show_is_lost_without_them() -> None:
+    heart = art("heart", 180)[..., :1] > 0.5
+    red, green = (np.array(colour, np.float32) for colour in ((1, 0, 0), (0, 0.2126 / 0.7152, 0)))
+    target = np.where(heart, green, red)
+    assert likeness(target, target) == pytest.approx(1)
+    assert word_for(likeness(luminance(target)[..., None], target)) == "lost"
+    assert word_for(likeness(np.where(heart, red, green), target)) == "lost"
+    assert word_for(likeness(0.8 * target + 0.2 * noise(180, 180, 1), target)) in ("recognisable", "clear")
+
+
+def test_colours_of_a_grey_target_are_errors_and_those_of_a_coloured_one_count() -> None:
+    panda = art("panda", 180)
+    coloured = panda * np.array([1.0, 0.5, 0.2], np.float32)
+    assert likeness(coloured, panda) < 0.99
+    assert 0.84 < likeness(panda, coloured) < 0.99, "a bold shape is clear without its colours, and not perfect"
+    assert likeness(coloured[..., ::-1].copy(), coloured) < likeness(panda, coloured)
 
 
 def test_an_eye_resolves_one_arc_minute() -> None:

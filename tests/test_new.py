@@ -183,6 +183,12 @@ def test_a_machine_sets_material_facets_and_files(
     assert [step.stage.type for step in plan.exporters] == files
 
 
+@pytest.mark.parametrize("scenario", LAYOUTS)
+def test_without_a_machine_the_file_for_slicers_comes_first(scenario: str, panda: Path, tmp_path: Path) -> None:
+    new_spec(scenario, [panda] * LAYOUTS[scenario].least, tmp_path / "my.yaml")
+    assert [step.stage.type for step in planned(tmp_path / "my.yaml").exporters] == ["3mf", "stl", "sheet"]
+
+
 def test_every_shipped_spec_may_be_asked_for_by_its_name(panda: Path, tmp_path: Path) -> None:
     names = set(SHIPPED) - set(LAYOUTS)
     assert names == set(ON_MACHINES) | set(SPECIAL)
@@ -250,7 +256,7 @@ def test_every_scenarios_spec_runs(scenario: str, panda: Path, tmp_path: Path) -
     done = run_plan(
         load_plan(tmp_path / "my.yaml", [*SMALL, *LARGER.get(scenario, []), "report.analyses=[]"]), tmp_path / "out"
     )
-    assert (done.folder / "lens.stl").is_file()
+    assert {"lens.3mf", "lens.stl", "lens.pdf"} <= {path.name for path in done.folder.iterdir()}
 
 
 def garbage(folder: Path) -> Path:

@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 
 from fabricated import bumpy, flat
 from magiclens.cli import app
-from magiclens.contract.artifacts import FloatArray, HeightField, Lens, Solid
+from magiclens.contract.artifacts import FloatArray, HeightField, Lens, Solid, View
 from magiclens.contract.errors import InputError
 from magiclens.exporting.mesh_files import STL_HEADER
 from magiclens.geometry.solid import solid_from_heights
@@ -29,6 +29,7 @@ from magiclens.preflight.light import check_fresnel_loss, check_total_reflection
 from magiclens.preflight.machine import check_as_made, check_bed, check_detail, check_material, check_tool_reach
 from magiclens.preflight.mesh_file import MeshFile, read_mesh_file
 from magiclens.preflight.page import STATUS_COLOURS, lens_map, preflight_text, write_preflight
+from magiclens.preflight.picture import check_colours
 from magiclens.preflight.stairs import check_stairs
 from magiclens.preflight.triangles import TopTriangles, top_triangles, trace_triangles
 from magiclens.processes.tilting import Tilt
@@ -501,3 +502,12 @@ def test_a_plan_of_a_run_folder_keeps_its_machine(run: Run) -> None:
     plan: Plan = load_plan(run.folder / "spec.yaml")
     assert plan.fabrication is not None
     assert plan.fabrication.name == "polyjet-600x300"
+
+
+@pytest.mark.parametrize(("source", "target", "said"), [(1, 3, True), (3, 3, False), (1, 1, False), (3, 1, False)])
+def test_a_grey_source_below_a_coloured_target_is_said(source: int, target: int, said: bool) -> None:
+    paper, picture = np.ones((8, 8, source), np.float32), np.ones((8, 8, target), np.float32)
+    plain = View("plain", np.ones((8, 8, 1), np.float32), np.ones((8, 8, 1), np.float32), np.array([0, 0, 440.0]))
+    found = check_colours([plain, View("v", paper, picture, np.array([0, 0, 440.0]), 0.0, "dots", "logo")])
+    assert [each.status for each in found] == ["amber"] * said
+    assert all("logo has colours, dots has none" in each.text for each in found)

@@ -271,20 +271,23 @@ def _universal_lens(request: Request) -> list[str]:
 def _pipeline(request: Request, *matching: str) -> list[str]:
     return [
         *matching,
-        _exporters(request),
+        *_exporters(request),
         "renderers: [{type: tracer}]   # and {type: mitsuba}, which traces the exported mesh independently",
     ]
 
 
-def _exporters(request: Request) -> str:
-    if request.machine:
-        paper = "" if request.paper == "auto" else f", paper: {request.paper}"
-        files = [f"{{type: {name}}}" for name in machines()[request.machine].files]
-        files += [f"{{type: sheet{paper}}}", *(["{type: jig}"] if request.jig else [])]
-        return (
-            f"exporters: [{', '.join(files)}]   # what the machine reads, and the source to print; see 'mlens plugins'"
-        )
-    return "exporters: [{type: stl}]   # also 3mf, obj, ply, glb, sheet (the source, to print); see 'mlens plugins'"
+def _exporters(request: Request) -> list[str]:
+    """What the machine reads, or where none is named what most programs read; and the source, to print."""
+    named = machines()[request.machine].files if request.machine else ("3mf", "stl")
+    why = (
+        f"What {request.machine} reads"
+        if request.machine
+        else "The lens for slicers (3mf), the same for other programs (stl, which is larger)"
+    )
+    paper = "" if request.paper == "auto" else f", paper: {request.paper}"
+    files = [f"{{type: {name}}}" for name in named]
+    files += [f"{{type: sheet{paper}}}", *(["{type: jig}"] if request.jig else [])]
+    return [f"# {why}, and the source to print (sheet); see 'mlens plugins'.", f"exporters: [{', '.join(files)}]"]
 
 
 def _one_target_pipeline(request: Request) -> list[str]:

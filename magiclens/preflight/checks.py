@@ -25,7 +25,7 @@ from magiclens.preflight.machine import (
     check_tool_reach,
 )
 from magiclens.preflight.mesh_file import mesh_files, read_mesh_file
-from magiclens.preflight.picture import CHECKED_VIEWS, check_orientation, check_source_resolution
+from magiclens.preflight.picture import CHECKED_VIEWS, check_colours, check_orientation, check_source_resolution
 from magiclens.preflight.placing import check_placing
 from magiclens.preflight.stairs import check_stairs
 from magiclens.preflight.triangles import TopTriangles, top_triangles, trace_triangles_for_views
@@ -88,6 +88,7 @@ def run_preflight(folder: Path, manifest: Mapping[str, Any], plan: Plan, solid: 
         check_material(file, machine, materials().get(plan.spec.lens.material or "")),
         check_orientation(file, lens, views, traced, _run_psnr_db(manifest)),
         check_source_resolution(lens, views),
+        *check_colours(views),
         *check_placing(manifest["metrics"], lens, views[0]),
     ]
     return Preflight(str(manifest["name"]), made_by, findings, _mean_slopes_deg(top, lens), verdict)

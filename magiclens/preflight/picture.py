@@ -122,6 +122,17 @@ def check_source_resolution(lens: Lens, views: Sequence[View]) -> Finding:
     return Finding("source", status, f"{coarsest.source_name}.png has {per_mm:.3g} pixels per mm; {dpi}, true to scale")
 
 
+def check_colours(views: Sequence[View]) -> list[Finding]:
+    """Warn of the first target that has colours its source has not; no finding if there is none."""
+    for view in views:
+        if view.source.shape[-1] < view.target.shape[-1]:
+            advice = "take a source with its colours (for discs: colours), or accept grey"
+            return [
+                Finding("colours", "amber", f"{view.target_name} has colours, {view.source_name} has none; {advice}")
+            ]
+    return []
+
+
 def _mean_psnr_db(pictures: Sequence[FloatArray], targets: Sequence[FloatArray]) -> float:
     pairs = zip(pictures, targets, strict=True)
     return float(np.mean([best_exposure_psnr_db(picture, target) for picture, target in pairs]))
