@@ -118,7 +118,7 @@ def test_tiny_pictures_are_refused_with_the_reason(tmp_path: Path) -> None:
     grey().resize((16, 31)).save(tmp_path / "icon.png")
     done = mlens("new", "single", tmp_path / "icon.png", "--out", tmp_path / "my.yaml")
     assert done.exit_code == 2
-    assert "16 x 31 pixels, too few to show anything" in " ".join(done.stderr.split())
+    assert "icon.png: it has 16 x 31 pixels, too few to show anything" in " ".join(done.stderr.split())
     assert not (tmp_path / "my.yaml").exists()
     spec = tmp_path / "other.yaml"
     spec.write_text("name: x\nscenario: {type: single, source: {type: circles}, target: {image: icon.png}}\n")
@@ -159,7 +159,8 @@ def test_an_animation_is_all_of_its_frames(tmp_path: Path) -> None:
 def test_an_animation_is_no_picture_for_other_lenses(tmp_path: Path) -> None:
     done = mlens("new", "single", animation(tmp_path), "--out", tmp_path / "my.yaml")
     assert done.exit_code == 2
-    assert "holds 3 pictures" in " ".join(done.stderr.split())
+    assert "holds 3 pictures; save the one" in " ".join(done.stderr.split())
+    assert "universal-animation" in done.stderr
 
 
 @pytest.mark.parametrize(("name", "package"), [("drawing.svg", "resvg_py"), ("phone.heic", "pillow_heif")])

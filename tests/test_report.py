@@ -185,7 +185,7 @@ def test_the_page_says_how_to_make_the_lens_right_after_the_picture(
     (tmp_path / "sources").mkdir()
     for name in (*names, "preflight.html", "sources/dots.png"):
         (tmp_path / name).touch()
-    found = {errand.title: list(errand.files) for errand in errands(data.scene, tmp_path)}
+    found = {errand.title: list(errand.files) for errand in errands(data.scene, data.solid, tmp_path)}
     assert found == {
         "Check it": ["preflight.html"],
         "Have the lens made": ["lens.gcode", "lens.stl"],
@@ -195,7 +195,7 @@ def test_the_page_says_how_to_make_the_lens_right_after_the_picture(
         "Look through it: turn-0": [],
     }
     (tmp_path / "lens.pdf").unlink()
-    sheet = next(errand for errand in errands(data.scene, tmp_path) if errand.title == "Print the sheet")
+    sheet = next(errand for errand in errands(data.scene, data.solid, tmp_path) if errand.title == "Print the sheet")
     assert sheet.files == ["sources/dots.png"]
     assert "exactly 20 mm wide" in sheet.how
 

@@ -21,10 +21,10 @@ from skimage.transform import resize
 
 from magiclens import run_spec
 from magiclens.images import to_display
-from magiclens.new.write import Making, new_spec
+from magiclens.new.write import Making, new_spec, treatment_of
 
 DOCS = Path(__file__).parent.parent / "docs"
-MACHINES = ("sla", "polyjet-matte", "milling")
+MACHINES = ("sla", "milling", "diamond-turning")
 SIZE_MM, DISTANCE_MM = 40, 400
 SMALL = [
     "lens.microfacets=12",
@@ -69,6 +69,13 @@ def logo() -> Image.Image:
     return picture
 
 
+def paragraph() -> Image.Image:
+    """Seven lines of small letters."""
+    lines = ["A lens of glass lay on", "the sheet of dots, and", "whoever looked at it", "from straight above",
+             "saw a letter that no", "eye had found before", "among so many dots."]  # fmt: skip
+    return letters("\n".join(lines), 21)
+
+
 def photograph(name: str) -> Image.Image:
     """The middle square of a picture that scikit-image brings."""
     return Image.fromarray(getattr(skimage.data, name)())
@@ -77,9 +84,9 @@ def photograph(name: str) -> Image.Image:
 PICTURES: dict[str, Any] = {
     "cat": lambda: photograph("chelsea").crop((60, 0, 360, 300)),
     "photographer": lambda: photograph("camera").crop((60, 30, 380, 350)),
-    "coins": lambda: photograph("coins").crop((0, 0, 300, 300)),
     "horse": lambda: photograph("horse"),
     "page": lambda: photograph("page").crop((0, 0, 190, 190)),
+    "paragraph": paragraph,
     "letter": lambda: letters("R", 230),
     "house": house,
     "logo": logo,
@@ -96,29 +103,33 @@ class Made:
 
 
 def similarity(seen: Any, wanted: Any, side: int) -> float:
-    """Multi-scale SSIM of two pictures (H, W) of display values, averaged to ``side`` pixels.
+    """Multi-scale SSIM of two pictures (H, W, 3) of display values, averaged to ``side`` pixels.
 
-    At each scale it is the mean over places, which count by the contrast that is wanted there.
+    At each scale it is the mean over places and colours, which count by the contrast that is wanted there.
     """
     shown, target = (resize(picture, (max(side, 176),) * 2, anti_aliasing=True) for picture in (seen, wanted))
     found = 1.0
     for scale, weight in enumerate(WEIGHTS):
-        _, alike = structural_similarity(
-            shown, target, data_range=1.0, gaussian_weights=True, use_sample_covariance=False, full=True
-        )
-        means = [gaussian(picture, 1.5, truncate=3.5) for picture in (shown, target)]
+        how = {"gaussian_weights": True, "use_sample_covariance": False, "channel_axis": -1, "full": True}
+        _, alike = structural_similarity(shown, target, data_range=1.0, **how)
+        means = [blurred(picture) for picture in (shown, target)]
         if scale < len(WEIGHTS) - 1:  # brightness counts at the coarsest scale only
             alike = alike * (means[0] ** 2 + means[1] ** 2 + 1e-4) / (2 * means[0] * means[1] + 1e-4)
-        contrast = np.sqrt(np.maximum(gaussian(target**2, 1.5, truncate=3.5) - means[1] ** 2, 1e-12))
+        contrast = np.sqrt(np.maximum(blurred(target**2) - means[1] ** 2, 1e-12))
         found *= max(float(np.average(alike, weights=contrast)), 0.0) ** weight
         half = (len(shown) // 2,) * 2
         shown, target = (resize(picture, half, anti_aliasing=True) for picture in (shown, target))
     return found
 
 
-def brightness(file: Path) -> Any:
-    """(H, W) display values of a picture file."""
-    return np.asarray(Image.open(file).convert("RGB"), float) / 255 @ (0.2126, 0.7152, 0.0722)
+def blurred(picture: Any) -> Any:
+    """The means that SSIM compares, (H, W, 3)."""
+    return gaussian(picture, 1.5, truncate=3.5, channel_axis=-1)
+
+
+def display_values(file: Path) -> Any:
+    """(H, W, 3) display values of a picture file."""
+    return np.asarray(Image.open(file).convert("RGB"), float) / 255
 
 
 def made(picture: str, machine: str, folder: Path) -> Made:
@@ -126,13 +137,15 @@ def made(picture: str, machine: str, folder: Path) -> Made:
     folder.mkdir(parents=True)
     PICTURES[picture]().save(folder / f"{picture}.png")
     making = Making(machine, f"{SIZE_MM}mm")
-    new_spec("single", [folder / f"{picture}.png"], folder / "spec.yaml", making=making, crop="centre")
+    new_spec(
+        "single", [folder / f"{picture}.png"], folder / "spec.yaml", making=making, treatment=treatment_of("centre")
+    )
     run = run_spec(folder / "spec.yaml", folder / "run", SMALL)
     [view] = run.manifest["views"]
     shown, target = run.folder / "figures" / f"as-made-{view['name']}.png", run.folder / view["target"]
     verdict = json.loads((run.folder / "preflight.json").read_text(encoding="utf-8"))["verdict"]
     arc_minutes = round(np.degrees(np.arctan(SIZE_MM / DISTANCE_MM)) * 60)  # along the lens
-    alike = similarity(brightness(shown), brightness(target), arc_minutes)
+    alike = similarity(display_values(shown), display_values(target), arc_minutes)
     return Made(f"{picture}, {machine}", verdict["as_made"]["word"], alike)
 
 
@@ -150,7 +163,7 @@ def examples() -> dict[str, list[float]]:
         script = import_module("draw_verdicts")
     found: dict[str, list[float]] = {word: [] for word in WORDS}
     for name, shown, wanted in script.pictures():
-        pair = (to_display(picture) @ np.full(picture.shape[-1], 1 / picture.shape[-1]) for picture in (shown, wanted))
+        pair = (np.broadcast_to(to_display(picture), (*picture.shape[:2], 3)) for picture in (shown, wanted))
         found[script.EXAMPLES[name][2]].append(similarity(*pair, script.SIDE))
     return found
 
@@ -158,7 +171,7 @@ def examples() -> dict[str, list[float]]:
 @pytest.mark.sweep
 def test_words_are_in_the_order_of_what_is_seen(lenses: list[Made]) -> None:
     assert len(lenses) == 24
-    assert len({lens.word for lens in lenses}) > 1, "there is something to order"
+    assert {lens.word for lens in lenses} == set(WORDS), "every word is tried"
     for worse in lenses:
         for better in lenses:
             if WORDS.index(worse.word) < WORDS.index(better.word):

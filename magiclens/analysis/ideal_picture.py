@@ -51,7 +51,7 @@ def predict_view(
 
 
 def bound_psnr_db(scene: Scene, assignment: Assignment, heights_mm: FloatArray | None = None) -> float:
-    """Mean PSNR, dB, over the views of their ideal pictures against their targets: a bound for any real lens."""
+    """Mean PSNR, dB, over the views of their ideal pictures against their targets; refined facets may do better."""
     pictures = predict(scene, assignment, heights_mm=heights_mm)
     return float(np.mean([best_exposure_psnr_db(p, v.target) for p, v in zip(pictures, scene.views, strict=True)]))
 

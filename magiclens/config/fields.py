@@ -84,7 +84,7 @@ def readable_picture(path: Path) -> Path:
 
     # read in full: a picture that is broken is then a mistake of the spec, with its line, and no run begins
     try:
-        check_not_tiny(read_image(path))
+        check_not_tiny(read_image(path), path)
     except InputError as error:
         raise ValueError(error.message) from None
     return path

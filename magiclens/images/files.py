@@ -26,6 +26,8 @@ _MOST_PIXELS = 50_000_000
 """The most pixels of a picture, once it is padded to a square; some hundred megabytes in memory."""
 LEAST_PX = 32
 """Least longer side of a picture that a lens can show or lie on."""
+_ONE_OF_MANY = "save the one that is meant as PNG, or make all of them frames of a universal-animation"
+"""What to do with a file of several pictures where one is wanted."""
 _SHOWS = 0.1
 """Difference of display values from the paper from which a pixel shows on it."""
 _LEAST_SHOWN = 0.005
@@ -56,13 +58,12 @@ def lies_on_black(path: str | PathLike[str]) -> bool:
     return _hidden_by_white(_values_of(path))
 
 
-def check_not_tiny(picture: FloatArray) -> None:
-    """Raise InputError for a picture (H, W, C) that has next to no detail to show."""
+def check_not_tiny(picture: FloatArray, path: str | PathLike[str]) -> None:
+    """Raise InputError for a picture (H, W, C), read from a file, that has next to no detail to show."""
     rows, columns = picture.shape[:2]
     if max(rows, columns) < LEAST_PX:
-        raise InputError(
-            f"it has {columns} x {rows} pixels, too few to show anything: the longer side needs {LEAST_PX}"
-        )
+        few = f"it has {columns} x {rows} pixels, too few to show anything: the longer side needs {LEAST_PX}"
+        raise InputError(few, str(path))
 
 
 def _values_of(path: str | PathLike[str]) -> FloatArray:
@@ -98,7 +99,7 @@ def _decode(path: str | PathLike[str]) -> tuple[Image, Mapping[int, Any]]:
             # phones put a depth map or a small copy behind a JPEG
             count = getattr(image, "n_frames", 1) if image.format not in ("JPEG", "MPO") else 1
             if count > 1:
-                raise InputError(f"{str(path)!r} holds {count} pictures; save the one that is meant as PNG")
+                raise InputError(f"{str(path)!r} holds {count} pictures; {_ONE_OF_MANY}")
             return ImageOps.exif_transpose(image), dict(getattr(image, "tag_v2", {}))
     except InputError:
         raise

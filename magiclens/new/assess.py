@@ -140,7 +140,7 @@ def assess(path: Path, treatment: Treatment = AS_SUITS, moving: bool = False) ->
     """
     animated = moving and is_animated(path)
     picture = next(iter(read_frames(path))) if animated else read_image(path)
-    check_not_tiny(picture)
+    check_not_tiny(picture, path)
     shown = to_display(luminance(picture))
     low, high = (float(level) for level in np.percentile(shown, (1, 99)))
     if high - low < _LEAST_CONTRAST:

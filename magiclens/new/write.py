@@ -88,7 +88,7 @@ def new_spec(
     _check_out(out)
     files = _Files(out.parent)
     if source:
-        check_not_tiny(read_image(source))
+        check_not_tiny(read_image(source), source)
     moving = LAYOUTS[scenario].moving
     assessed = tuple((files.path(path), assess(path, treatment, moving)) for path in pictures)
     inks = () if moving else inks_for([found for _, found in assessed])

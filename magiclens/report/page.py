@@ -48,7 +48,7 @@ def report_page(
         figures=[Markup(block) for block in figures],
         verdict=verdict_of_run(folder),
         headlines=headline_rows(data, photos),
-        errands=errands(data.scene, folder),
+        errands=errands(data.scene, data.solid, folder),
         renderers=list(photos),
         scores=score_rows(data.scene, photos),
         metrics=metric_rows(manifest["metrics"]),

@@ -7,14 +7,16 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from magiclens.analysis.contact_sheet import view_placement
-from magiclens.contract.artifacts import Scene
+from magiclens.contract.artifacts import Scene, Solid
 from magiclens.contract.result import RunResult
 from magiclens.drawing.photographs import Photograph
 
 _METRIC_LABELS = {
-    "matching_psnr_db": "Bound set by matching: if every facet showed its best candidate perfectly",
-    "assigned_psnr_db": "Bound after annealing: if every facet showed its choice perfectly",
+    "matching_psnr_db": "If facets were lenslets and showed their best candidates perfectly; refinement goes beyond",
+    "assigned_psnr_db": "The same of the candidates that annealing chose",
     "zone_centre_psnr_db": "From the middle eye",
     "zone_worst_psnr_db": "From the worst place within the inner cone",
     "plain_centre_psnr_db": "The same of a lens for the middle eye alone: from the middle",
@@ -157,9 +159,11 @@ def verdict_of_run(folder: Path) -> Mapping[str, Any] | None:
     return verdict
 
 
-def errands(scene: Scene, folder: Path) -> list[Errand]:
+def errands(scene: Scene, solid: Solid, folder: Path) -> list[Errand]:
     """What is to be done to have the lens in hand, with the files of a run folder that it takes."""
     lens, view = scene.lens, scene.views[0]
+    # more than the lens's square: cells along eye rays widen toward the bottom, and printers need a rim
+    outer = " x ".join(f"{side:.4g}" for side in np.ptp(solid.vertices, axis=0))
     beside = sorted(path.name for path in folder.glob("lens.*"))
     jig, screen, sheet = ([name for name in beside if name.startswith(f"lens.{kind}")] for kind in _BESIDE_THE_LENS)
     bodies = [name for name in beside if name not in {*jig, *screen, *sheet}]
@@ -171,7 +175,7 @@ def errands(scene: Scene, folder: Path) -> list[Errand]:
     eye = f"with one eye, {z - lens.thickness_mm:.0f} mm above the lens{aside}"
     found = [
         Errand("Check it", [n for n in ("preflight.html",) if (folder / n).is_file()], "whether it is fit to be made"),
-        Errand("Have the lens made", bodies, f"send one of these to the maker; it is {lens.size_mm:g} mm wide, in mm"),
+        Errand("Have the lens made", bodies, f"send one of these to the maker, in mm; the part is {outer} mm"),
         Errand("Print the sheet", sources[:_MOST_SOURCES], f"{size}{many}"),
         Errand("Print the jig", jig, "in any plastic; it holds sheet, lens and eye in place"),
         Errand("Or show it on a screen", screen, "pixel for pixel"),
