@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -80,6 +81,7 @@ def test_run_writes_the_folder_and_ends_with_a_summary(mlens: Any, write_spec: S
     assert "psnr_db" in result.stdout
     assert "rotation-090" in result.stdout
     assert f"{tmp_path / 'out'}: heights.npz, lens.toy, report.html, spec.yaml, manifest.json" in result.stdout
+    assert re.search(r"it took \d+\.\d seconds", result.stderr)
     assert "matcher toy" in result.stderr
 
 

@@ -94,6 +94,16 @@ def test_an_estimate_grows_with_what_it_is_made_of(setting: str) -> None:
     assert more.seconds >= plain.seconds
 
 
+def test_a_printers_lens_takes_longer_and_analyses_count() -> None:
+    spec = SPECS / "printed-single.yaml"
+    whole, unasked, facets_alone = (
+        estimate(load_plan(spec, settings, INSTALLED)).seconds
+        for settings in ([], ["report.analyses=[]"], ["lens.cells=eye"])
+    )
+    assert whole > unasked + 20
+    assert whole > facets_alone + 60
+
+
 def test_memory_is_what_the_machine_or_the_environment_says(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(MEMORY_VARIABLE, raising=False)
     there = memory_bytes()

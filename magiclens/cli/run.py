@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -56,6 +57,7 @@ def run_command(
         from magiclens.running.pipeline import kept_run
         from magiclens.running.termination import end_on_sigterm
 
+        began = perf_counter()
         end_on_sigterm()
         if no_cache:
             keep_nothing()
@@ -71,6 +73,8 @@ def run_command(
             if not (quiet or as_json):
                 observer.notice(estimate_text(needs))
             manifest = _run(plan, spec, overrides, folder, observer)
+        if not (quiet or as_json):
+            print_note(f"it took {perf_counter() - began:.1f} seconds")
         print_result(lambda: _summary(folder, manifest), lambda: {"folder": str(folder), **manifest}, quiet, as_json)
 
 

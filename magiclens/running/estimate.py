@@ -1,11 +1,13 @@
 """How much memory and time a run takes, by a small model of its largest parts.
 
 The constants were measured with single and rotating lenses of 8 to 32 facets a side, 8 to 128 micro-facets and windows
-of 77 to 333 offsets a side, one part after the other. Memory is right within a factor of two, time within three.
+of 77 to 333 offsets a side, one part after the other, and those of printed lenses with one of 60 mm. Memory is right
+within a factor of two, time within three.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -19,6 +21,7 @@ from magiclens.integration.poisson import Poisson
 from magiclens.matching.dart_throwing import DartThrowing
 from magiclens.matching.options import LatticeOptions, MatchingOptions
 from magiclens.plan.compile import Plan
+from magiclens.profiles.machines import Printer
 from magiclens.rendering.mitsuba import Mitsuba
 from magiclens.rendering.tracer import Tracer
 from magiclens.rendering.transports import LEAST_RESOLUTION
@@ -26,6 +29,8 @@ from magiclens.scenarios.pictures import Circles, Plain, TextSource, pixels_of
 
 _PROGRAM_BYTES = 300e6
 """Python, its libraries and compiled kernels."""
+_WIDEST_RASTER = 2200
+"""Nodes along the side of a made surface above which ``through_process`` cannot hold it."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +91,7 @@ def estimate(plan: Plan) -> Estimate:
     """What a run of a plan needs; stages of plugins are not counted."""
     seen = _Seen.of(plan)
     rounds = (plan.spec.pipeline.codesign + 1) * (plan.spec.pipeline.rematch + 1)
-    later = (*_matching(plan, seen), *_surface(plan, seen, rounds), *_looking(plan, seen))
+    later = (*_matching(plan, seen), *_surface(plan, seen, rounds), *_looking(plan, seen), _asking(plan, seen))
     meshes = (step.stage for step in plan.exporters if isinstance(step.stage, MeshExporter))
     files = {f"lens{mesh.suffix}": 2 * mesh.triangle_bytes * _grid_points(plan.lens) for mesh in meshes}
     return Estimate((_pictures(plan, seen), *later), files)
@@ -178,12 +183,32 @@ def _surface(plan: Plan, seen: _Seen, rounds: int) -> Iterator[Need]:
     yield Need("mesh", 900 * points, 1.5e-5 * points, keys, "fewer micro-facets or facets")
     steps = stage.refinement if isinstance(stage, Poisson) and plan.matcher.stage.uses_pictures else 0
     # transforms are products with matrices: each vertex takes as long as a facet is wide
-    refining = 1e-6 * points * lens.microfacets * (0.1 + 0.04 * steps) * seen.views
+    facets_alone = 1e-6 * points * lens.microfacets * (0.1 + 0.04 * steps) * seen.views
+    refining = (steps and _through_process(plan)) or facets_alone
     solving = 0.12e-6 * points * lens.microfacets * rounds
     yield Need(
         "heights", 250 * points, solving + refining, ("refinement", *keys), "fewer micro-facets or steps of refinement",
         plan.place(plan.integrator),
     )  # fmt: skip
+
+
+def _through_process(plan: Plan) -> float:
+    """Processor time of ``refine_through``, by the nodes of its raster; 0 if facets are refined alone."""
+    stage = plan.integrator.stage
+    process = stage.process if isinstance(stage, Poisson) and plan.lens.cells == "vertical" else None
+    side = 1.2 * plan.lens.size_mm / process.finest_mm if process and process.finest_mm else math.inf
+    return 4.5e-5 * side**2 if side < _WIDEST_RASTER else 0.0
+
+
+def _asking(plan: Plan, seen: _Seen) -> Need:
+    """What analyses take that trace the lens again: at other places, and as its printer makes it."""
+    wanted, machine = plan.spec.report.analyses, plan.fabrication and plan.fabrication.machine
+    asked = {name for name in ("tolerances", "as-made", "ray-error") if wanted is None or name in wanted}
+    seconds = 6.0 + 2.5 * min(seen.views, 4) if "tolerances" in asked else 0.0
+    if isinstance(machine, Printer):
+        columns = min(plan.lens.size_mm**2 / math.prod(machine.pixels_mm), 4e7)
+        seconds += 8e-7 * columns * (("as-made" in asked) + 1.5 * ("ray-error" in asked))
+    return Need("analyses", 0.0, seconds, ("report.analyses",), "fewer analyses")
 
 
 def _looking(plan: Plan, seen: _Seen) -> Iterator[Need]:
@@ -194,9 +219,7 @@ def _looking(plan: Plan, seen: _Seen) -> Iterator[Need]:
             rays = float(stage.resolution**2 * square)
             # views that share an eye share its rays
             tracer = isinstance(stage, Tracer)
-            held, seconds = (
-                (16 * rays, 1.2e-6 * seen.eyes) if tracer else (3e3 * stage.resolution**2, 2e-6 * seen.views)
-            )
+            held, seconds = (16 * rays, 3e-7 * seen.eyes) if tracer else (3e3 * stage.resolution**2, 2e-6 * seen.views)
             yield Need(
                 f"renderer {stage.type}", held, seconds * rays, ("resolution", "samples"),
                 "a lower resolution or fewer samples", plan.place(renderer),

@@ -38,6 +38,8 @@ from magiclens.running.observers import Observer
 from magiclens.running.termination import raise_if_terminated
 
 _T = TypeVar("_T")
+_LATER_WORK = {"rematch": ", again", "refine": ", refinement"}
+"""What observers are told, beside its name, of the work that a stage does after it has done its first, by method."""
 
 
 @dataclass
@@ -134,13 +136,15 @@ class Steps:
             StageError: The stage failed or broke its contract; the message names it.
         """
 
+        name = step.name + _LATER_WORK.get(method, "")
+
         def work(rng: np.random.Generator | None, *values: Any) -> Any:
             call = partial(getattr(step.stage, method), *values, *([] if rng is None else [rng]))
-            return self._done(step, call, check)
+            return self._done(step, call, check, name)
 
         state = generator_state(draws.rng) if draws else None
         made_of = of_stage(step, method, inputs, state) if self.cache else None
-        return self._made(step.name, made_of, inputs, work, draws)
+        return self._made(name, made_of, inputs, work, draws)
 
     def export(self, step: Step[Exporter], scene: Kept[Scene], solid: Kept[Solid], folder: Path) -> None:
         """A step that an exporter does: it writes files into a run folder. Raises as ``stage``."""
@@ -157,7 +161,7 @@ class Steps:
                     raise
                 return path
 
-            self._done(step, write, check_file)
+            self._done(step, write, check_file, step.name)
 
         made_of = of_stage(step, "export", {"scene": scene, "solid": solid}, None) if self.cache else None
         self.files(step.name, made_of, folder, export)
@@ -243,18 +247,19 @@ class Steps:
 
         return Kept(key, get)
 
-    def _done(self, step: Step[Any], work: Callable[[Progress], _T], check: Callable[[_T], None]) -> _T:
-        """Let a stage work, check its artifact, and tell hooks."""
-        before = self._seconds[step.name]
-        artifact = self.part(step.name, partial(self._guarded, step, work, check), self._facets)
+    def _done(self, step: Step[Any], work: Callable[[Progress], _T], check: Callable[[_T], None], name: str) -> _T:
+        """Let a stage work, check its artifact, and tell hooks; observers are told ``name``."""
+        before = self._seconds.pop(step.name, 0.0)
+        artifact = self.part(name, partial(self._guarded, step, work, check, name), self._facets)
         # a stage may run several times, and its seconds add up; hooks are told those of this time
-        seconds = self._seconds[step.name] - before
+        seconds = self._seconds.pop(name)
+        self._seconds[step.name] = before + seconds
         self.tell("mlens_stage_done", stage=step.stage, artifact=artifact, seconds=seconds)
         return artifact
 
-    def _guarded(self, step: Step[Any], work: Callable[[Progress], _T], check: Callable[[_T], None]) -> _T:
+    def _guarded(self, step: Step[Any], work: Callable[[Progress], _T], check: Callable[[_T], None], name: str) -> _T:
         with locating(self._plan.document, self._plan.place(step)), blaming(str(step)):
-            artifact = work(partial(self._observer.progressed, step.name))
+            artifact = work(partial(self._observer.progressed, name))
             try:
                 check(artifact)
             except BadArtifact as error:
