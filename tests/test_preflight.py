@@ -431,6 +431,9 @@ def test_gentle_slopes_are_advised_to_be_tilted() -> None:
     assert "its flat side grows by" in better.text
     own = check_stairs(*_body_of(body), thick, printer.model_copy(update={"slicing": "diffused"}))
     assert own.status == "green"
+    stairs = re.search(r"throw rays off by \S+ mm rms", found.text)
+    assert stairs is not None
+    assert f"{stairs[0]}; the verdict is of its own slices" in own.text
     low = printer.model_copy(update={"bed": (30.0, 30.0, 9.0)})
     assert "fabrication.tilt" not in check_stairs(*_body_of(body), thick, low).text, "there is no room for it"
 
