@@ -78,7 +78,7 @@ def test_run_writes_the_folder_and_ends_with_a_summary(mlens: Any, write_spec: S
     result = mlens("run", write_spec(), "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
     assert (tmp_path / "out" / "manifest.json").exists()
-    assert "psnr_db" in result.stdout
+    assert re.search(r"^as designed +psnr_db", result.stdout, re.MULTILINE)
     assert "rotation-090" in result.stdout
     assert f"{tmp_path / 'out'}: heights.npz, lens.toy, report.html, spec.yaml, manifest.json" in result.stdout
     assert re.search(r"it took \d+\.\d seconds", result.stderr)

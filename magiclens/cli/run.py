@@ -158,15 +158,16 @@ def _run(plan: Plan, spec: Path, overrides: list[str], folder: Path, observer: O
 
 
 def _summary(folder: Path, manifest: dict[str, Any]) -> str:
-    """Scores of every view, and where the files are."""
-    scores = [key for key in manifest["views"][0] if key.startswith(("psnr_db", "ssim"))]
-    lines = [f"{'view':16}" + "".join(f"{key:>18}" for key in scores)]
-    for view in manifest["views"]:
-        lines.append(f"{view['name']:16}" + "".join(f"{_score_text(view[key]):>18}" for key in scores))
+    """The verdict, scores of every view as designed, and where the files are."""
     files = [a["path"] for a in manifest["artifacts"] if "/" not in a["path"]]
+    lines = []
     if "preflight.json" in files:
         preflight = json.loads((folder / "preflight.json").read_text(encoding="utf-8"))
-        lines += ["", preflight["verdict"]["text"], f"preflight: {preflight['status']}"]
+        lines = [preflight["verdict"]["text"], f"preflight: {preflight['status']}", ""]
+    scores = [key for key in manifest["views"][0] if key.startswith(("psnr_db", "ssim"))]
+    lines.append(f"{'as designed':16}" + "".join(f"{key:>18}" for key in scores))
+    for view in manifest["views"]:
+        lines.append(f"{view['name']:16}" + "".join(f"{_score_text(view[key]):>18}" for key in scores))
     return "\n".join([*lines, "", f"{folder}: {', '.join(files)}, manifest.json"])
 
 
