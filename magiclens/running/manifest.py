@@ -7,9 +7,10 @@ import io
 import json
 import math
 import platform
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
+from itertools import compress
+from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from magiclens.config.fields import Inputs
@@ -19,16 +20,13 @@ from magiclens.running.folder import FORMAT, MANIFEST
 from magiclens.running.replacing import atomic_file
 
 if TYPE_CHECKING:
-    from magiclens.images.score import Score
+    from magiclens.images.score import Score, ScoresByRenderer
 
 REFERENCE_RENDERER = "tracer"
 """Renderer whose scores are called ``psnr_db`` and ``ssim``; scores of other renderers carry the renderer's name."""
 
 _LIBRARIES = ("magiclens", "numpy", "scipy", "numba", "trimesh", "pymeshlab", "mitsuba")
 """Packages whose versions can change a run's result."""
-
-ScoresByRenderer = Mapping[str, list["Score"]]
-"""Lists of one score per view, by renderer type."""
 
 
 def source_path(view: View) -> str:
@@ -113,15 +111,27 @@ def write_manifest(folder: Path, manifest: Mapping[str, Any], seconds: Mapping[s
     """
     # a stage whose result was in the cache has taken no time
     stages = [{**stage, "seconds": round(seconds.get(_name(stage), 0.0), 3)} for stage in manifest["stages"]]
-    whole = {**manifest, "stages": stages, "artifacts": _files(folder), "seconds": round(seconds["total"], 3)}
+    whole = {**manifest, "stages": stages, "artifacts": _files(folder, folder), "seconds": round(seconds["total"], 3)}
     _write(folder, whole)
     return whole
 
 
-def refresh_manifest(folder: Path) -> None:
-    """Update the list of files in the manifest of a finished run folder, after some were added or changed."""
+def refresh_manifest(folder: Path, *written: str) -> None:
+    """List files that were added to a finished run folder, or changed, in its manifest.
+
+    What the manifest says of other files stays: one that was damaged must not pass for whole from now on, and one that
+    the user has put there must not be removed with the run.
+
+    Args:
+        folder: The run folder.
+        written: Paths in it of files, and of folders with all that is in them now.
+    """
     whole = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-    whole["artifacts"] = _files(folder)
+    new = [each for name in written for each in _files(folder, folder / name)]
+    paths = (PurePosixPath(each["path"]) for each in whole["artifacts"])
+    stays = [not any(path.is_relative_to(name) for name in written) for path in paths]
+    old = compress(whole["artifacts"], stays)
+    whole["artifacts"] = sorted([*old, *new], key=lambda artifact: Path(artifact["path"]))
     _write(folder, whole)
 
 
@@ -199,9 +209,10 @@ def _version(package: str) -> str | None:
         return None
 
 
-def _files(folder: Path) -> list[dict[str, Any]]:
-    """Path, hash and size of every file of a run folder but the manifest, sorted by path."""
-    paths: Iterable[Path] = sorted(p for p in folder.rglob("*") if p.is_file() and p.name != MANIFEST)
+def _files(folder: Path, within: Path) -> list[dict[str, Any]]:
+    """Path, hash and size of a file of a run folder, or of all files in a folder but the manifest, sorted by path."""
+    found = [within] if within.is_file() else within.rglob("*")
+    paths = sorted(path for path in found if path.is_file() and path.name != MANIFEST)
     return [_file(path, path.relative_to(folder).as_posix()) for path in paths]
 
 

@@ -93,7 +93,7 @@ def simulate_milling(folder: str | Path, registry: Registry | None = None) -> Mi
     fit = run_programs(list(programs.values()), lens.solid).fit
     moves = [program.moves for program in programs.values()]
     psnr_db = _write_pictures(lens, list(programs.values()))
-    refresh_manifest(lens.folder)
+    refresh_manifest(lens.folder, MACHINED)
     return MillingReport(
         folder=str(lens.folder),
         programs=tuple(programs),

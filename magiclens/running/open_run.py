@@ -31,6 +31,12 @@ if TYPE_CHECKING:
 
 _FRAMES_PER_BATCH = 4
 """Frames that are encoded together; more would hold more pictures in memory at once."""
+_ROUGH = "as-made-rough"
+"""How names of pictures begin that are traced through rough surfaces."""
+_PREFLIGHT = ("preflight.html", "preflight.json")
+"""Files of preflight."""
+_PICTURES = ("sources/", "targets/", "renders/", "figures/")
+"""Folders of pictures, which preflight compares and shows."""
 _SAMPLES = 3
 """Samples along a side of a pixel of what is seen in any pose."""
 
@@ -249,19 +255,24 @@ def check_run_folder(folder: str | Path, registry: Registry | None = None) -> tu
         InputError: The folder is no run folder, or has no mesh.
     """
     from magiclens.preflight.checks import run_preflight
+    from magiclens.preflight.mesh_file import mesh_files
     from magiclens.preflight.page import preflight_text, write_preflight
     from magiclens.simulation.as_made import rough_pictures, write_pictures
 
     path = Path(folder)
     files = verified(path)
     plan = _plan_of(files, registry)
+    for name in files.listed:
+        if name.startswith(_PICTURES):
+            files.file(name)
     if plan.fabrication and files.has(HEIGHTS):
         lens = OpenRun(files, plan, plan.scene())
         pictures = rough_pictures(plan.fabrication.machine, lens.lit_scene, lens.solid)
-        write_pictures(pictures, lens.scene.views[: len(pictures)], path, "as-made-rough")
+        write_pictures(pictures, lens.scene.views[: len(pictures)], path, _ROUGH)
     found = run_preflight(path, files.manifest, plan)
     write_preflight(found, path)
-    refresh_manifest(path)
+    meshes = (mesh.name for mesh in mesh_files(path))  # which may have been repaired since
+    refresh_manifest(path, *meshes, *_PREFLIGHT, *(f"figures/{_ROUGH}-{view.name}.png" for view in plan.shots()))
     return found, preflight_text(found)
 
 

@@ -6,20 +6,23 @@ import hashlib
 import json
 import math
 import zipfile
-import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, Field, FiniteFloat, ValidationError
 
 from magiclens.contract.artifacts import FloatArray, Lens, Transport, View
 from magiclens.contract.errors import InputError
 from magiclens.running.folder import FORMAT, HEIGHTS, MANIFEST, transport_path
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 
 def _inside(path: str) -> str:
@@ -28,6 +31,9 @@ def _inside(path: str) -> str:
         raise ValueError("leaves the run folder")
     return path
 
+
+_MOST_PACKED = 100
+"""How many times as large as its file a matrix may be; real ones are twice as large."""
 
 RelativePath = Annotated[str, AfterValidator(_inside)]
 """The path of a file in a run folder, with forward slashes."""
@@ -136,7 +142,7 @@ class RunFiles:
         with _readable(path):
             _check_size(path, 4 * math.prod(shape))
             with np.load(path) as stored:
-                heights: FloatArray = stored["heights_mm"].astype(np.float64)
+                heights: FloatArray = _floats(stored["heights_mm"]).astype(np.float64)
         if heights.shape != shape:
             raise InputError(f"it holds heights of shape {heights.shape} instead of {shape}", str(path))
         if not np.isfinite(heights).all() or np.abs(heights).max() > lens.thickness_mm:
@@ -152,18 +158,14 @@ class RunFiles:
         name = transport_path(view)
         if not self.has(name) or not (self.path / name).exists():  # it is large, and may have been deleted to save room
             return None
-        from scipy.sparse import csr_array, load_npz
-
         path = self.file(name)
         rows, columns = view.source.shape[:2]
         with _readable(path):
-            matrix = csr_array(load_npz(path))
-            matrix.check_format(full_check=True)  # scipy multiplies with indices that point anywhere
+            matrix = _matrix(path)
         side = math.isqrt(matrix.shape[0])  # pictures are square, so the number of rows gives their side
         if matrix.shape != (side * side, rows * columns):
             raise InputError(f"it holds a matrix of shape {matrix.shape}, which is none of this view", str(path))
-        # text has no order, and NaN lies nowhere
-        if matrix.dtype.kind != "f" or not ((matrix.data >= 0) & (matrix.data <= 1)).all():
+        if not ((matrix.data >= 0) & (matrix.data <= 1)).all():  # NaN lies nowhere
             raise InputError("it holds shares of light that are none", str(path))
         return Transport(matrix, (side, side), (rows, columns))
 
@@ -206,9 +208,39 @@ def _readable(path: Path) -> Iterator[None]:
         yield
     except InputError:
         raise
-    except (ValueError, KeyError, TypeError, OSError, EOFError, OverflowError, zipfile.BadZipFile, zlib.error) as error:
+    except Exception as error:  # readers of damaged files raise anything, one flipped bit is "encrypted" to them
         reason = (str(error) or repr(error)).splitlines()[0]
         raise InputError(f"the file is damaged: {reason}", str(path)) from None
+
+
+def _matrix(path: Path) -> csr_array:
+    """The sparse matrix of a file, of float32. Raises ValueError, or anything that readers raise, if it holds none."""
+    from scipy.sparse import csr_array
+
+    _check_size(path, _MOST_PACKED * path.stat().st_size)
+    # not by scipy's reader: it takes numbers of any kind for indices, and says so aloud
+    with np.load(path) as stored:
+        if stored["format"].item() != b"csr":
+            raise ValueError("its matrix has not one row after the other")
+        pointers, indices, shape = (_integers(stored[name]) for name in ("indptr", "indices", "shape"))
+        shares = _floats(stored["data"]).astype(np.float32, copy=False)
+    matrix = csr_array((shares, indices, pointers), tuple(shape.tolist()))
+    matrix.check_format(full_check=True)  # matrices are multiplied with indices that point anywhere
+    return matrix
+
+
+def _floats(array: NDArray[Any]) -> NDArray[Any]:
+    """The array. Raises ValueError if it holds anything else than real numbers in binary floating point."""
+    if array.dtype.kind != "f":
+        raise ValueError(f"it holds {array.dtype} instead of floats")
+    return array
+
+
+def _integers(array: NDArray[Any]) -> NDArray[Any]:
+    """The array. Raises ValueError if it holds anything else than signed integers."""
+    if array.dtype.kind != "i":
+        raise ValueError(f"it holds {array.dtype} instead of integers")
+    return array
 
 
 def _check_size(path: Path, most_bytes: int) -> None:
@@ -216,4 +248,4 @@ def _check_size(path: Path, most_bytes: int) -> None:
     with zipfile.ZipFile(path) as archive:
         size = sum(entry.file_size for entry in archive.infolist())
     if size > most_bytes + 10_000:  # and headers
-        raise ValueError(f"it holds {size} bytes instead of {most_bytes}")
+        raise ValueError(f"it holds {size} bytes, more than the {most_bytes} that it may")

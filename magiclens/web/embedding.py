@@ -37,5 +37,5 @@ def write_beside(run_dir: Path, path: Path, page: Callable[[], str]) -> Path:
     with atomic_file(path) as partial:
         partial.write_text(text, encoding="utf-8")
     if path.resolve().is_relative_to(run_dir.resolve()):
-        refresh_manifest(run_dir)
+        refresh_manifest(run_dir, path.resolve().relative_to(run_dir.resolve()).as_posix())
     return path

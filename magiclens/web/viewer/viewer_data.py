@@ -7,7 +7,6 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ import numpy as np
 from magiclens.contract.artifacts import FloatArray, HeightField, Lens, View
 from magiclens.running.manifest import source_path, target_path
 from magiclens.running.open_run import OpenRun
+from magiclens.running.run_files import RunFiles
 from magiclens.scenarios.base import Shot
 from magiclens.web.viewer.film import FILM_BYTES
 from magiclens.web.viewer.packing import pack_heights
@@ -65,11 +65,11 @@ def viewer_data(lens: OpenRun) -> dict[str, Any]:
         "lens": lens_data,
         "tops": tops,
         "distance": float(np.mean([view.eye_mm[2] for view in views])) - lens.plan.lens.thickness_mm,
-        "sources": [picture_uri_within(lens.folder / path, room // len(sources)) for path in sources],
+        "sources": [picture_uri_within(lens.files.file(path), room // len(sources)) for path in sources],
         "film": film,
         "bears": _bears(lens.files.manifest["metrics"]),
         "dropped": len(lens.scene.views) - len(views),
-        "views": [_view_data(view, labels[view.name], sources, None if film else lens.folder) for view in views],
+        "views": [_view_data(view, labels[view.name], sources, None if film else lens.files) for view in views],
     }
 
 
@@ -111,15 +111,15 @@ def view_labels(shots: Sequence[Shot]) -> dict[str, str]:
     return {name: title if title and many[title] == 1 else own[name] for name, title in titles.items()}
 
 
-def _view_data(view: View, label: str, sources: list[str], folder: Path | None) -> dict[str, Any]:
-    """A view with a thumbnail of its target; without one if it is a frame of a film, which has no ``folder``."""
+def _view_data(view: View, label: str, sources: list[str], files: RunFiles | None) -> dict[str, Any]:
+    """A view with a thumbnail of its target; without one if it is a frame of a film, which is given no ``files``."""
     return {
         "name": view.name,
         "label": label,
         "eye": [float(x) for x in view.eye_mm],
         "rotation": view.rotation_deg,
         "source": sources.index(source_path(view)),
-        "target": thumbnail_uri(folder / target_path(view), _THUMBNAIL_SIDE) if folder else "",
+        "target": thumbnail_uri(files.file(target_path(view)), _THUMBNAIL_SIDE) if files else "",
     }
 
 
