@@ -34,8 +34,9 @@ class InputError(MagicLensError):
         keys: tuple[str, ...] = (),
         others: tuple[InputError, ...] = (),
     ):
-        super().__init__(f"{where}: {message}" if where else message)
-        self.message, self.where, self.keys, self.others = message, where, keys, others
+        self.message, self.where = _in_one_line(message), where and _in_one_line(where)
+        self.keys, self.others = keys, others
+        super().__init__(f"{self.where}: {self.message}" if where else self.message)
 
     def mistakes(self) -> list[dict[str, str | None]]:
         """This mistake and the others as JSON has them: ``where`` each is, and the ``message``."""
@@ -46,8 +47,16 @@ class StageError(MagicLensError):
     """A stage or a plugin failed; the message names it, its package and its version. Exit code 1."""
 
     def __init__(self, message: str, keys: tuple[str, ...] = ()):
-        super().__init__(message)
+        super().__init__(_in_one_line(message))
         self.keys = keys
+
+
+def _in_one_line(text: str) -> str:
+    """The text with all that moves a terminal's cursor, or turns the order of letters, written out as in Python.
+
+    Messages repeat what users, and writers of the files that they were given, have written.
+    """
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 class Terminated(SystemExit):
