@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import builtins
+import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -165,14 +165,8 @@ def test_an_animation_is_no_picture_for_other_lenses(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("name", "package"), [("drawing.svg", "resvg_py"), ("phone.heic", "pillow_heif")])
 def test_a_missing_package_is_named(name: str, package: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path, original = made(name, tmp_path), builtins.__import__
-
-    def without(wanted: str, *rest: Any, **more: Any) -> Any:
-        if wanted == package:
-            raise ImportError(wanted)
-        return original(wanted, *rest, **more)
-
-    monkeypatch.setattr(builtins, "__import__", without)
+    path = made(name, tmp_path)
+    monkeypatch.setitem(sys.modules, package, None)  # as if it could not be imported
     with pytest.raises(InputError, match=r"pip install 'magiclens\[(svg|heic)\]', or save it as PNG"):
         read_image(path)
 

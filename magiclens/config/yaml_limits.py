@@ -14,6 +14,8 @@ from magiclens.contract.errors import InputError
 
 MOST_SPEC_BYTES = 500_000
 """The longest text that is read; the parser takes some seconds for so much."""
+MOST_LINES = 50_000
+"""The most lines, since the parser looks at each of those that are empty, too."""
 MOST_VALUES = 20_000
 """The most values, those counted several times that aliases repeat; the parser makes about as many in a second."""
 MOST_LEVELS = 50
@@ -39,6 +41,8 @@ def check_yaml(text: str, name: str) -> None:
     """
     if len(text) > MOST_SPEC_BYTES:
         raise InputError(f"this is longer than {MOST_SPEC_BYTES // 1000} kB; a spec is a short text", f"{name}:1")
+    if text.count("\n") > MOST_LINES:
+        raise InputError(f"here are more than {MOST_LINES} lines; a spec is a short text", f"{name}:{MOST_LINES + 1}")
     sizes: dict[str, int | None] = {}
     opened: list[tuple[str | None, int]] = []
     values = 0

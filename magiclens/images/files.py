@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Mapping
+from contextlib import suppress
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +26,8 @@ MOST_PIXELS_VARIABLE = "MLENS_MOST_PIXELS"
 """The variable of the environment that allows larger pictures."""
 _MOST_PIXELS = 50_000_000
 """The most pixels of a picture, once it is padded to a square; some hundred megabytes in memory."""
+_MOST_COUNTED = 100
+"""Pages of a TIFF that are counted."""
 LEAST_PX = 32
 """Least longer side of a picture that a lens can show or lie on."""
 _ONE_OF_MANY = "save the one that is meant as PNG, or make all of them frames of a universal-animation"
@@ -95,11 +99,12 @@ def _decode(path: str | PathLike[str]) -> tuple[Image, Mapping[int, Any]]:
     from PIL import ImageOps, UnidentifiedImageError
 
     try:
-        with open_picture(path) as image:
-            # phones put a depth map or a small copy behind a JPEG
-            count = getattr(image, "n_frames", 1) if image.format not in ("JPEG", "MPO") else 1
+        # what decoders warn about is either no harm, or makes them fail soon
+        with warnings.catch_warnings(action="ignore"), open_picture(path) as image:
+            count = _count(image)
             if count > 1:
-                raise InputError(f"{str(path)!r} holds {count} pictures; {_ONE_OF_MANY}")
+                most = " or more" if count == _MOST_COUNTED else ""
+                raise InputError(f"{str(path)!r} holds {count}{most} pictures; {_ONE_OF_MANY}")
             return ImageOps.exif_transpose(image), dict(getattr(image, "tag_v2", {}))
     except InputError:
         raise
@@ -107,6 +112,22 @@ def _decode(path: str | PathLike[str]) -> tuple[Image, Mapping[int, Any]]:
         raise InputError(f"{str(path)!r} is not an image file that can be read; use PNG, JPEG, TIFF or GIF") from None
     except Exception as error:  # decoders raise anything on broken files, down to struct.error and SyntaxError
         raise InputError(f"the image file {str(path)!r} cannot be read: {error}") from error
+
+
+def _count(image: Image) -> int:
+    """How many pictures a file holds that a user may mean; those of a TIFF are counted up to a limit."""
+    if image.format in ("JPEG", "MPO"):  # phones put a depth map or a small copy behind a JPEG
+        return 1
+    if image.format != "TIFF":
+        return getattr(image, "n_frames", 1)
+    found = 1
+    with suppress(EOFError):
+        # Pillow's own count looks through all pages for each page
+        while found < _MOST_COUNTED:
+            image.seek(found)
+            found += 1
+    image.seek(0)
+    return found
 
 
 def open_picture(path: str | PathLike[str]) -> Image:

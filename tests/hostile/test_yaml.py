@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from magiclens.config.document import read_document
-from magiclens.config.yaml_limits import MOST_DIGITS, MOST_LEVELS, MOST_SPEC_BYTES
+from magiclens.config.yaml_limits import MOST_DIGITS, MOST_LEVELS, MOST_LINES, MOST_SPEC_BYTES
 from magiclens.contract.errors import InputError
 
 
@@ -43,7 +43,8 @@ BOMBS: dict[str, tuple[str, int]] = {
     "an unknown alias": ("name: x\na: *b", 2),
     "two anchors of one name": ("a: &a 1\nb: &a 2", 2),
     "a character that is none": ("name: x\na: \x00", 2),
-    "an end that is missing": ("\n" * 400_000 + "a: [", 400_001),
+    "an end that is missing": ("\n" * MOST_LINES + "a: [", MOST_LINES + 1),
+    "empty lines": ("name: x\n" + "\n" * 400_000, MOST_LINES + 1),
     "a tab": ("name: x\n\ta: 1", 2),
     "a key twice": ("a: 1\na: 2", 2),
     "a mapping as key": ("name: x\n{a: 1}: 2", 2),
