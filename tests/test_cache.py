@@ -33,7 +33,7 @@ from magiclens.plan.registry import Plugin, Registry
 from magiclens.running.forecast import forecast, whole_run_kept
 from magiclens.running.ingredients import generator_in, generator_state
 from magiclens.running.observers import Observer
-from magiclens.running.pipeline import kept_run, run_plan
+from magiclens.running.pipeline import kept_run, run_plan, write_run
 from magiclens.sweep.sweeping import sweep_spec
 from toys import (
     SPEC,
@@ -271,6 +271,26 @@ def test_another_value_of_one_key_does_what_depends_on_it_and_nothing_else(
     again, folder = run("again", f"{key}={value}")
     assert again.kept_steps == expected
     assert contents(folder) == contents(run("plain", f"{key}={value}", cache=None)[1])
+
+
+def test_another_exporter_reads_no_result_but_those_that_it_writes(
+    run: Any, write_spec: SpecWriter, registry: Registry, cache: Cache, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run("first")
+    change = "pipeline.exporters=[{type: other}]"
+    plain = contents(run("plain", change, cache=None)[1])
+    read: list[str] = []
+    value = Cache.value
+
+    def watched(self: Cache, entry: Any, *given: Any) -> Any:
+        read.append(entry.step)
+        return value(self, entry, *given)
+
+    monkeypatch.setattr(Cache, "value", watched)
+    monkeypatch.setattr(sys.modules["magiclens.images.score"], "score", None)  # nor is a picture compared again
+    write_run(load_plan(write_spec(), [change], registry), tmp_path / "again", Watching(), cache)
+    assert contents(tmp_path / "again") == plain
+    assert set(read) == {"integrator toy", "finisher toy"}  # the mesh, and heights whose arrays it shares
 
 
 def test_all_keys_of_a_spec_are_among_those(write_spec: SpecWriter, registry: Registry) -> None:

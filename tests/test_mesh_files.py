@@ -13,6 +13,7 @@ from magiclens.contract.artifacts import FloatArray, Solid
 from magiclens.contract.stages import Exporter
 from magiclens.exporting.mesh_files import Obj, Ply, Stl, write_stl
 from magiclens.geometry import solid as solid_module
+from magiclens.preflight.mesh_file import read_mesh_file
 
 EXPORTERS = [Stl(), Ply(), Obj()]
 every_format = pytest.mark.parametrize("exporter", EXPORTERS, ids=[e.type for e in EXPORTERS])
@@ -109,6 +110,38 @@ def test_an_stl_file_that_is_written_in_parts_is_the_same(tmp_path: Path, monkey
     monkeypatch.setattr(solid_module, "FACES_AT_ONCE", 7)
     write_stl(solid.vertices, solid.faces, tmp_path / "parts.stl")
     assert (tmp_path / "parts.stl").read_bytes() == (tmp_path / "whole.stl").read_bytes()
+
+
+def test_ply_has_the_bytes_that_trimesh_writes(tmp_path: Path) -> None:
+    from trimesh import Trimesh
+    from trimesh.exchange.ply import export_ply
+
+    mesh = bumpy()
+    wanted = export_ply(
+        Trimesh(mesh.vertices, mesh.faces, process=False), vertex_normal=False, include_attributes=False
+    )
+    assert written(Ply(), tmp_path, mesh).read_bytes() == wanted
+
+
+@pytest.mark.parametrize("other", [False, True])
+def test_ply_is_read_back_as_trimesh_reads_it(other: bool, tmp_path: Path) -> None:
+    """Our own files at once, and others, here by one letter of the header, by trimesh."""
+    path = written(Ply(), tmp_path, bumpy())
+    if other:
+        path.write_bytes(path.read_bytes().replace(b"mikedh", b"others"))
+    assert np.array_equal(read_mesh_file(path).triangles, corners_read(path))
+
+
+@pytest.mark.parametrize("damage", ["cut", "face of four", "beyond", "before"])
+def test_damaged_ply_is_not_read(damage: str, tmp_path: Path) -> None:
+    path = written(Ply(), tmp_path, bumpy())
+    content = bytearray(path.read_bytes())
+    content[-13:] = {
+        "cut": b"", "face of four": b"\4" + bytes(12), "beyond": b"\3" + b"\x7f" * 12, "before": b"\3" + b"\xff" * 12
+    }[damage]  # fmt: skip
+    path.write_bytes(content)
+    with pytest.raises((ValueError, IndexError)):  # the last of trimesh, which is asked about a file that is cut
+        read_mesh_file(path)
 
 
 def test_ply_is_binary_and_has_no_normals(tmp_path: Path) -> None:

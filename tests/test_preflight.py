@@ -24,7 +24,7 @@ from magiclens.exporting.mesh_files import STL_HEADER
 from magiclens.geometry.solid import solid_from_heights
 from magiclens.plan.compile import Plan, load_plan
 from magiclens.preflight.checks import run_preflight
-from magiclens.preflight.finding import Finding, Preflight, Verdict, graded, worst, worst_facet_text
+from magiclens.preflight.finding import ANY_MESH, Finding, Preflight, Verdict, graded, worst, worst_facet_text
 from magiclens.preflight.light import check_fresnel_loss, check_total_reflection
 from magiclens.preflight.machine import check_as_made, check_bed, check_detail, check_material, check_tool_reach
 from magiclens.preflight.mesh_file import MeshFile, read_mesh_file
@@ -202,10 +202,34 @@ def test_equal_runs_have_equal_pages(run: Run, tmp_path: Path) -> None:
     assert page.count("data:image/webp") == 2, "the map, and what the lens shows as made"
 
 
+def test_what_was_found_about_the_lens_is_true_of_every_file_that_holds_it(run: Run, folder: Path) -> None:
+    """It is not searched for again, and kept as JSON it gives the same page."""
+    manifest, plan = json.loads((folder / "manifest.json").read_text()), load_plan(folder / "spec.yaml")
+    kept: list[str] = []
+
+    def keep(check: Callable[[], Preflight]) -> Preflight:
+        kept[:] = kept or [json.dumps(check().as_plain())]
+        return Preflight.from_plain(json.loads(kept[0]))
+
+    (folder / "lens.stl").unlink()
+    for suffix in ("stl", "ply", "3mf"):
+        shutil.copy(run.folder / f"lens.{suffix}", folder)
+        pages = []
+        for way in (keep, lambda check: check()):
+            found = run_preflight(folder, manifest, plan, run.result.solid, way)
+            assert f"lens.{suffix} is closed" in preflight_text(found)
+            assert ANY_MESH not in preflight_text(found)
+            write_preflight(found, folder)
+            pages.append((folder / "preflight.html").read_bytes() + (folder / "preflight.json").read_bytes())
+        assert pages[0] == pages[1]
+        (folder / f"lens.{suffix}").unlink()
+
+
 def test_the_quick_check_looks_again_when_the_file_holds_something_else(run: Run, folder: Path) -> None:
     rewrite(folder, triangles(folder)[1:])
     manifest = json.loads((folder / "manifest.json").read_text())
-    found = run_preflight(folder, manifest, load_plan(folder / "spec.yaml"), run.result.solid)
+    never = lambda check: pytest.fail("that was found about another mesh")  # noqa: E731
+    found = run_preflight(folder, manifest, load_plan(folder / "spec.yaml"), run.result.solid, never)
     assert found.status == "red"
 
 

@@ -24,11 +24,12 @@ from magiclens.analysis.surface import SURFACE, wall_picture
 from magiclens.analysis.warp import TINT, facet_colours, tinted
 from magiclens.contract.artifacts import Assignment, FloatArray, HeightField, IntArray, Lens, Scene, Solid, View
 from magiclens.contract.result import RunResult
-from magiclens.drawing.photographs import photograph, photographs
+from magiclens.drawing.photographs import photograph
 from magiclens.drawing.scales import BLUE_TO_RED, DIVERGING, ColourScale
 from magiclens.drawing.shading import hidden_share, sample_heights, shade_heights
 from magiclens.drawing.tiles import PAPER_COLOUR, TEXT_LINE, TICK_WIDTH, TILE_GAP, Tile, render_rows, to_pixels
 from magiclens.geometry.facets import central_slopes, patches_seen
+from magiclens.images.score import score
 from magiclens.plan.compile import load_plan
 from magiclens.plan.registry import Plugin, Registry
 from magiclens.report.tables import errands, format_metric, metric_rows
@@ -89,7 +90,9 @@ def report_on(result: RunResult, folder: Path) -> None:
     """Writes the report with the figures of the analyses that need no plan."""
     analyses = (CONTACT_SHEET, PICTURE_ERROR, SURFACE, ANNEALING_EFFECT, OVERLAP)
     figures = [write_figure(figure, folder) for each in analyses for figure in each.figures(result, Findings())]
-    write_report(result, figures, photographs(result), folder)
+    views, renders = result.scene.views, result.renders.items()
+    scores = {name: [score(p, v.target) for p, v in zip(pictures, views, strict=True)] for name, pictures in renders}
+    write_report(result.scene, result.manifest, figures, scores, folder)
 
 
 def two_turns(target: FloatArray | None = None) -> tuple[View, ...]:
@@ -185,7 +188,8 @@ def test_the_page_says_how_to_make_the_lens_right_after_the_picture(
     (tmp_path / "sources").mkdir()
     for name in (*names, "preflight.html", "sources/dots.png"):
         (tmp_path / name).touch()
-    found = {errand.title: list(errand.files) for errand in errands(data.scene, data.solid, tmp_path)}
+    parts = data.solid.metrics
+    found = {errand.title: list(errand.files) for errand in errands(data.scene, parts, tmp_path)}
     assert found == {
         "Check it": ["preflight.html"],
         "Have the lens made": ["lens.gcode", "lens.stl"],
@@ -195,7 +199,7 @@ def test_the_page_says_how_to_make_the_lens_right_after_the_picture(
         "Look through it: turn-0": [],
     }
     (tmp_path / "lens.pdf").unlink()
-    sheet = next(errand for errand in errands(data.scene, data.solid, tmp_path) if errand.title == "Print the sheet")
+    sheet = next(errand for errand in errands(data.scene, parts, tmp_path) if errand.title == "Print the sheet")
     assert sheet.files == ["sources/dots.png"]
     assert "exactly 20 mm wide" in sheet.how
 

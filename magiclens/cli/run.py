@@ -151,10 +151,10 @@ def _run(plan: Plan, spec: Path, overrides: list[str], folder: Path, observer: O
     """Run a plan, and compile ahead what it needs; its manifest."""
     # not imported for a run that is in the cache: numba takes longer to import than such a run takes
     from magiclens.running.compilation import compiling_ahead
-    from magiclens.running.pipeline import run_plan
+    from magiclens.running.pipeline import write_run
 
     with compiling_ahead(spec, overrides, observer) as watching:
-        return run_plan(plan, folder, watching).manifest
+        return write_run(plan, folder, watching)
 
 
 def _summary(folder: Path, manifest: dict[str, Any]) -> str:

@@ -23,7 +23,10 @@ def solid_from_heights(heights: HeightField) -> Solid:
     rim = _border(*h.shape)
     foot = _dropped(heights.points_mm(u.ravel()[rim], v.ravel()[rim], np.zeros(len(rim))), eye)
     solid = solid_from_grid(top, _widened(foot, lens.floor_mm / 2), eye)
-    return replace(solid, metrics={"volume_mm3": volume(solid)})
+    width, depth, height = np.ptp(solid.vertices, axis=0).tolist()
+    return replace(
+        solid, metrics={"volume_mm3": volume(solid), "width_mm": width, "depth_mm": depth, "height_mm": height}
+    )
 
 
 def solid_from_raster(x_mm: FloatArray, y_mm: FloatArray, z_mm: FloatArray, floor_mm: float = 0.0) -> Solid:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,10 @@ class Score:
     psnr_db: float
     ssim: float
     gain: float
+
+
+ScoresByRenderer = Mapping[str, Sequence[Score]]
+"""Lists of one score per view, by renderer type."""
 
 
 def score(render_linear: FloatArray, target_linear: FloatArray, gain: float | None = None) -> Score:

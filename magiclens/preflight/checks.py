@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from magiclens.contract.errors import InputError
 from magiclens.images.files import read_image
 from magiclens.plan.compile import Plan
 from magiclens.preflight.body import body_checked_by_finisher, check_body, check_same_body, check_size
-from magiclens.preflight.finding import Finding, Preflight
+from magiclens.preflight.finding import ANY_MESH, Finding, Preflight
 from magiclens.preflight.light import check_fresnel_loss, check_slopes, check_total_reflection
 from magiclens.preflight.machine import (
     check_as_made,
@@ -24,7 +25,7 @@ from magiclens.preflight.machine import (
     check_thickness,
     check_tool_reach,
 )
-from magiclens.preflight.mesh_file import mesh_files, read_mesh_file
+from magiclens.preflight.mesh_file import MeshFile, mesh_files, read_mesh_file
 from magiclens.preflight.picture import CHECKED_VIEWS, check_colours, check_orientation, check_source_resolution
 from magiclens.preflight.placing import check_placing
 from magiclens.preflight.stairs import check_stairs
@@ -34,7 +35,13 @@ from magiclens.profiles.machines import Machine, Mill, Printer
 from magiclens.profiles.materials import materials
 
 
-def run_preflight(folder: Path, manifest: Mapping[str, Any], plan: Plan, solid: Solid | None = None) -> Preflight:
+def run_preflight(
+    folder: Path,
+    manifest: Mapping[str, Any],
+    plan: Plan,
+    solid: Solid | None = None,
+    keep: Callable[[Callable[[], Preflight]], Preflight] = lambda check: check(),
+) -> Preflight:
     """Check the files of a run folder against its manifest and its plan.
 
     Args:
@@ -42,34 +49,63 @@ def run_preflight(folder: Path, manifest: Mapping[str, Any], plan: Plan, solid: 
         manifest: Its manifest; one without the list of files will do.
         plan: The plan of its spec.
         solid: The finished lens, given by a run that has just made it. If the first mesh file holds exactly this solid,
-            what the finisher has found is true of the file and is not searched for again, and other mesh files are left
-            to ``mlens preflight``.
+            the solid is checked in place of the file: what the finisher has found is not searched for again, and other
+            mesh files are left to ``mlens preflight``.
+        keep: Is given the checks of the solid, which depend on no file, and may know their result.
 
     Raises:
         InputError: There is no mesh file.
     """
-    machine = plan.fabrication.machine if plan.fabrication else None
-    made_by = plan.fabrication.profile.title if plan.fabrication else ""
     paths = mesh_files(folder)
     if not paths:
         raise InputError("there is no mesh file to be made; add an exporter such as stl", str(folder))
-    verdict = verdict_of(folder, manifest, plan)
-    shown = check_as_made(manifest["metrics"], verdict)
     try:
         file = read_mesh_file(paths[0])
     except Exception as error:  # readers of broken files raise anything
         broken = Finding("mesh", "red", f"{paths[0].name} cannot be read: {error}")
-        return Preflight(str(manifest["name"]), made_by, [shown, broken], None, verdict)
+        verdict = verdict_of(folder, manifest, plan)
+        findings = [check_as_made(manifest["metrics"], verdict), broken]
+        return Preflight(str(manifest["name"]), _made_by(plan), findings, None, verdict)
+    if solid and file.same_as(solid):
+        return keep(partial(_check_solid, folder, manifest, plan, solid)).of_mesh(file.name)
+    return _check(folder, manifest, plan, file, others=() if solid else paths[1:])
+
+
+def _check_solid(folder: Path, manifest: Mapping[str, Any], plan: Plan, solid: Solid) -> Preflight:
+    """Check a solid as the mesh files hold it, whose place in the texts ``ANY_MESH`` takes."""
+    file = MeshFile(Path(ANY_MESH), solid.vertices.astype(np.float32)[solid.faces])
+    return _check(folder, manifest, plan, file, body_checked_by_finisher(manifest["metrics"], file.name))
+
+
+def _check(
+    folder: Path,
+    manifest: Mapping[str, Any],
+    plan: Plan,
+    file: MeshFile,
+    known: Sequence[Finding] | None = None,
+    others: Sequence[Path] = (),
+) -> Preflight:
+    """Check a mesh.
+
+    Args:
+        folder: The run folder, whose pictures are looked at.
+        manifest: Its manifest.
+        plan: The plan of its spec.
+        file: The mesh.
+        known: Findings about it as a body, if they are known.
+        others: Mesh files that should hold the same.
+    """
+    machine = plan.fabrication.machine if plan.fabrication else None
+    verdict = verdict_of(folder, manifest, plan)
+    shown = check_as_made(manifest["metrics"], verdict)
     lens, views = plan.lens, _stored_views(folder, manifest)
     eye = lens.cut_along(np.mean([view.eye_mm for view in views], axis=0))
-    known = body_checked_by_finisher(manifest["metrics"], file.name) if solid and file.same_as(solid) else None
-    body = known or check_body(file, lens, eye)
-    body.append(check_size(file, lens))
-    if len(paths) > 1 and solid is None:
-        body.append(check_same_body(file, paths[1:]))
+    body = [*(known or check_body(file, lens, eye)), check_size(file, lens)]
+    if others:
+        body.append(check_same_body(file, others))
     # the other checks take coordinates for millimetres and need a top
     if any(finding.check == "size" and finding.status == "red" for finding in body) or not len(file.on_top):
-        return Preflight(str(manifest["name"]), made_by, [shown, *body], None, verdict)
+        return Preflight(str(manifest["name"]), _made_by(plan), [shown, *body], None, verdict)
     file = file.as_fine_as(lens)
     top = top_triangles(file, lens, eye)
     traced = trace_triangles_for_views(top.triangles, lens, views)
@@ -91,7 +127,7 @@ def run_preflight(folder: Path, manifest: Mapping[str, Any], plan: Plan, solid: 
         *check_colours(views),
         *check_placing(manifest["metrics"], lens, views[0]),
     ]
-    return Preflight(str(manifest["name"]), made_by, findings, _mean_slopes_deg(top, lens), verdict)
+    return Preflight(str(manifest["name"]), _made_by(plan), findings, _mean_slopes_deg(top, lens), verdict)
 
 
 def _stored_views(folder: Path, manifest: Mapping[str, Any]) -> list[View]:
@@ -110,6 +146,10 @@ def _stored_views(folder: Path, manifest: Mapping[str, Any]) -> list[View]:
         ).in_lens_frame()
         for view in listed
     ]
+
+
+def _made_by(plan: Plan) -> str:
+    return plan.fabrication.profile.title if plan.fabrication else ""
 
 
 def _slope_limit(plan: Plan, machine: Machine | None) -> tuple[float, str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -24,6 +24,9 @@ _STATUS_OF_WORD: Mapping[Word, Status] = {
     "lost": "red",
 }
 """How words for pictures are graded."""
+
+ANY_MESH = "lens.*"
+"""What stands for the name of a mesh file in texts that are true of every file that holds the lens."""
 
 FacetIndices = tuple[tuple[int, int], ...]
 """(row, column) of facets; row 0 is at +y, column 0 at -x."""
@@ -103,6 +106,25 @@ class Preflight:
     def status(self) -> Status:
         """The status of the worst finding."""
         return worst(self.findings)
+
+    def of_mesh(self, name: str) -> Preflight:
+        """The same of a mesh file of this name, for findings about ``ANY_MESH``."""
+        return replace(self, findings=[replace(f, text=f.text.replace(ANY_MESH, name)) for f in self.findings])
+
+    def as_plain(self) -> dict[str, Any]:
+        """All of it as JSON data."""
+        slopes = None if self.slopes_deg is None else self.slopes_deg.tolist()
+        return {**asdict(self), "slopes_deg": slopes}
+
+    @classmethod
+    def from_plain(cls, data: Mapping[str, Any]) -> Preflight:
+        """What ``as_plain`` was called on."""
+        slopes = None if data["slopes_deg"] is None else np.array(data["slopes_deg"])
+        findings = [
+            Finding(**{**each, "facets": tuple((row, column) for row, column in each["facets"])})
+            for each in data["findings"]
+        ]
+        return cls(**{**data, "findings": findings, "slopes_deg": slopes, "verdict": Verdict(**data["verdict"])})
 
 
 def worst(findings: Iterable[Finding]) -> Status:

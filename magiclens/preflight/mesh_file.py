@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 
 from magiclens.contract.artifacts import FloatArray, IntArray, Lens, Solid
 from magiclens.exporting.digits import numbers_of
+from magiclens.exporting.mesh_files import PLY_FACE, PLY_HEAD
 from magiclens.exporting.three_mf import MODEL, TRIANGLE, VERTEX
 
 _SUFFIXES = ("stl", "ply", "glb", "3mf", "obj")
@@ -20,6 +22,8 @@ BOTTOM_MM = 1e-4
 """Height up to which vertices belong to the flat bottom, mm; floats in files are not exactly 0."""
 _STL = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 """A triangle of a binary STL file, 50 bytes; 80 bytes of text and the number of triangles come before them."""
+_PLY_COUNTS = re.compile(rb"ply\n.*?element vertex (\d{1,10})\n.*?element face (\d{1,10})\n", re.DOTALL)
+"""The numbers of vertices and faces in the header of a PLY file."""
 _NANOMETRE_MM = 1e-6
 """To what coordinates of 3MF are rounded."""
 _LONGEST = 2.0
@@ -125,6 +129,8 @@ def read_mesh_file(path: Path) -> MeshFile:
         return MeshFile(path, np.ascontiguousarray(np.frombuffer(content, _STL, count, 84)["corners"]))
     if path.suffix == ".3mf":
         return MeshFile(path, _three_mf(path))
+    if path.suffix == ".ply" and (triangles := _own_ply(path.read_bytes())) is not None:
+        return MeshFile(path, triangles)
     from trimesh import load_mesh
 
     mesh = load_mesh(str(path), process=False)
@@ -133,6 +139,27 @@ def read_mesh_file(path: Path) -> MeshFile:
         x, up, away = np.moveaxis(triangles * 1000, -1, 0)
         triangles = np.stack([x, -away, up], axis=-1)
     return MeshFile(path, triangles.astype(np.float32))
+
+
+def _own_ply(content: bytes) -> FloatArray | None:
+    """(F, 3, 3) float32: the triangles of a PLY file as our exporter writes it; None if somebody else has.
+
+    Raises ValueError if it was damaged since.
+    """
+    counts = _PLY_COUNTS.match(content)
+    if counts is None:
+        return None
+    vertices, faces = map(int, counts.groups())
+    head = PLY_HEAD % (vertices, faces)
+    if not content.startswith(head) or len(content) != len(head) + 12 * vertices + PLY_FACE.itemsize * faces:
+        return None
+    points = np.frombuffer(content, "<f4", 3 * vertices, len(head)).reshape(-1, 3)
+    listed = np.frombuffer(content, PLY_FACE, faces, len(head) + points.nbytes)
+    corners = listed["corners"]
+    if (listed["count"] != 3).any() or ((corners < 0) | (corners >= vertices)).any():
+        raise ValueError("its faces name vertices that are not there")
+    triangles: FloatArray = points[corners]
+    return triangles
 
 
 def _three_mf(path: Path) -> FloatArray:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from markupsafe import Markup
 
-from magiclens.contract.result import RunResult
+from magiclens.contract.artifacts import Scene
 from magiclens.drawing.figure import Figure
-from magiclens.drawing.photographs import Photograph
+from magiclens.images.score import ScoresByRenderer
 from magiclens.pages.templating import render_page
 from magiclens.report.tables import (
     errands,
@@ -29,30 +30,30 @@ def figure_block(figure: Figure) -> str:
 
 
 def report_page(
-    data: RunResult, folder: Path, figures: Sequence[str], photos: Mapping[str, Sequence[Photograph]]
+    scene: Scene, manifest: Mapping[str, Any], folder: Path, figures: Sequence[str], scores: ScoresByRenderer
 ) -> str:
     """The HTML page of a run; everything that users wrote is escaped.
 
     Args:
-        data: The run.
+        scene: The lens and its views.
+        manifest: Complete but for timings and files.
         folder: The run folder, which holds all other files already.
         figures: Blocks of ``figure_block`` in the order of the page, what matters most first.
-        photos: Photographs by renderer, one for each view.
+        scores: Of every renderer, one score per view.
     """
-    manifest = data.manifest
     return render_page(
         "magiclens.report/report.html",
         manifest=manifest,
-        lens=data.scene.lens,
-        views=len(data.scene.views),
+        lens=scene.lens,
+        views=len(scene.views),
         figures=[Markup(block) for block in figures],
         verdict=verdict_of_run(folder),
-        headlines=headline_rows(data, photos),
-        errands=errands(data.scene, data.solid, folder),
-        renderers=list(photos),
-        scores=score_rows(data.scene, photos),
+        headlines=headline_rows(manifest["metrics"], scores),
+        errands=errands(scene, manifest["metrics"], folder),
+        renderers=list(scores),
+        scores=score_rows(scene, scores),
         metrics=metric_rows(manifest["metrics"]),
-        lens_rows=lens_rows(data.scene),
+        lens_rows=lens_rows(scene),
         stages=[(stage, option_rows(stage["options"])) for stage in manifest["stages"]],
         files=file_rows(folder),
     )

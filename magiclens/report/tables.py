@@ -7,12 +7,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from magiclens.analysis.contact_sheet import view_placement
-from magiclens.contract.artifacts import Scene, Solid
-from magiclens.contract.result import RunResult
-from magiclens.drawing.photographs import Photograph
+from magiclens.contract.artifacts import Scene
+from magiclens.images.score import ScoresByRenderer
 
 _METRIC_LABELS = {
     "matching_psnr_db": "If facets were lenslets and showed their best candidates perfectly; refinement goes beyond",
@@ -40,6 +37,9 @@ _METRIC_LABELS = {
     "z_min_mm": "Lowest point of the top, above the flat bottom",
     "z_max_mm": "Highest point of the top, above the flat bottom",
     "volume_mm3": "Volume",
+    "width_mm": "Width of the part",
+    "depth_mm": "Depth of the part",
+    "height_mm": "Height of the part",
     "energy_before": "Energy before annealing",
     "energy_after": "Energy after annealing",
     "energy_image": "of which image error",
@@ -86,6 +86,8 @@ _UNITS = {
     "_percent": (1.0, " %"),
 }
 """Factor and unit of a metric, by the end of its name; the longer of two ends comes first."""
+_SIDES = ("width_mm", "depth_mm", "height_mm")
+"""Metrics that say how large the part is."""
 _HEADLINE_METRICS = {"step_mean_mm": "mean step", "slope_mean_deg": "mean slope", "volume_mm3": "volume"}
 """Labels of the metrics at the top of the page."""
 _FILE_CONTENTS = {
@@ -159,11 +161,12 @@ def verdict_of_run(folder: Path) -> Mapping[str, Any] | None:
     return verdict
 
 
-def errands(scene: Scene, solid: Solid, folder: Path) -> list[Errand]:
+def errands(scene: Scene, metrics: Mapping[str, float | None], folder: Path) -> list[Errand]:
     """What is to be done to have the lens in hand, with the files of a run folder that it takes."""
     lens, view = scene.lens, scene.views[0]
     # more than the lens's square: cells along eye rays widen toward the bottom, and printers need a rim
-    outer = " x ".join(f"{side:.4g}" for side in np.ptp(solid.vertices, axis=0))
+    sides = [side for key in _SIDES if (side := metrics.get(key)) is not None]
+    large = f"; the part is {' x '.join(f'{side:.4g}' for side in sides)} mm" if len(sides) == len(_SIDES) else ""
     beside = sorted(path.name for path in folder.glob("lens.*"))
     jig, screen, sheet = ([name for name in beside if name.startswith(f"lens.{kind}")] for kind in _BESIDE_THE_LENS)
     bodies = [name for name in beside if name not in {*jig, *screen, *sheet}]
@@ -175,7 +178,7 @@ def errands(scene: Scene, solid: Solid, folder: Path) -> list[Errand]:
     eye = f"with one eye, {z - lens.thickness_mm:.0f} mm above the lens{aside}"
     found = [
         Errand("Check it", [n for n in ("preflight.html",) if (folder / n).is_file()], "whether it is fit to be made"),
-        Errand("Have the lens made", bodies, f"send one of these to the maker, in mm; the part is {outer} mm"),
+        Errand("Have the lens made", bodies, f"send one of these to the maker, in mm{large}"),
         Errand("Print the sheet", sources[:_MOST_SOURCES], f"{size}{many}"),
         Errand("Print the jig", jig, "in any plastic; it holds sheet, lens and eye in place"),
         Errand("Or show it on a screen", screen, "pixel for pixel"),
@@ -183,13 +186,13 @@ def errands(scene: Scene, solid: Solid, folder: Path) -> list[Errand]:
     return [*(errand for errand in found if errand.files), Errand(f"Look through it: {view.name}", [], eye)]
 
 
-def headline_rows(data: RunResult, photos: Mapping[str, Sequence[Photograph]]) -> list[TableRow]:
-    """The few numbers at the top of the page; ``photos`` are one for each view, by renderer."""
+def headline_rows(metrics: Mapping[str, float | None], scores: ScoresByRenderer) -> list[TableRow]:
+    """The few numbers at the top of the page, of the manifest's metrics and the scores of each renderer's pictures."""
     rows = [
-        TableRow(f"PSNR as designed ({name})", f"{_mean([photo.score.psnr_db for photo in of_views]):.1f} dB")
-        for name, of_views in photos.items()
+        TableRow(f"PSNR as designed ({name})", f"{_mean([score.psnr_db for score in of_views]):.1f} dB")
+        for name, of_views in scores.items()
     ]
-    return rows + metric_headlines(data.manifest["metrics"], _HEADLINE_METRICS)
+    return rows + metric_headlines(metrics, _HEADLINE_METRICS)
 
 
 def metric_headlines(metrics: Mapping[str, float | None], labels: Mapping[str, str]) -> list[TableRow]:
@@ -212,13 +215,13 @@ def lens_rows(scene: Scene) -> list[TableRow]:
     ]
 
 
-def score_rows(scene: Scene, photos: Mapping[str, Sequence[Photograph]]) -> list[ScoreRow]:
-    """One row for each view, and their mean if there are several; ``photos`` are one for each view, by renderer."""
+def score_rows(scene: Scene, scores: ScoresByRenderer) -> list[ScoreRow]:
+    """One row for each view, and their mean if there are several."""
     turned = any(view.quarter_turns for view in scene.views)
     columns = [
         column
-        for of_views in photos.values()
-        for column in ([photo.score.psnr_db for photo in of_views], [photo.score.ssim for photo in of_views])
+        for of_views in scores.values()
+        for column in ([score.psnr_db for score in of_views], [score.ssim for score in of_views])
     ]
     rows = [
         ScoreRow(view.name, view_placement(view, scene.lens, turned), _scores([column[k] for column in columns]))

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from magiclens.contract.result import RunResult
+from magiclens.contract.artifacts import Scene
 from magiclens.drawing.figure import Figure
-from magiclens.drawing.photographs import Photograph
 from magiclens.drawing.tiles import render_rows
+from magiclens.images.score import ScoresByRenderer
 from magiclens.report.page import figure_block, report_page
 
 if TYPE_CHECKING:
@@ -25,17 +25,18 @@ def write_figure(figure: Figure, folder: Path) -> str:
 
 
 def write_report(
-    result: RunResult, figures: Sequence[str], photos: Mapping[str, Sequence[Photograph]], folder: Path
+    scene: Scene, manifest: Mapping[str, Any], figures: Sequence[str], scores: ScoresByRenderer, folder: Path
 ) -> None:
     """Write ``report.html`` into a run folder; equal runs give equal bytes.
 
     Args:
-        result: The run; its manifest is complete but for timings and files.
+        scene: The lens and its views.
+        manifest: Complete but for timings and files.
         figures: What ``write_figure`` returned, in the order of the page.
-        photos: Photographs by renderer, one for each view.
+        scores: Of every renderer, one score per view.
         folder: The run folder.
     """
-    (folder / "report.html").write_text(report_page(result, folder, figures, photos), encoding="utf-8")
+    (folder / "report.html").write_text(report_page(scene, manifest, folder, figures, scores), encoding="utf-8")
 
 
 def _words(figure: Figure) -> PngInfo:

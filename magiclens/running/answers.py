@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import astuple, dataclass, replace
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from magiclens.analysis.base import Findings
 from magiclens.config.model import ReportSpec
@@ -19,6 +19,10 @@ from magiclens.running.ingredients import HashedInputs, Kept, MadeOf, file_hash,
 from magiclens.running.making import Drafts
 from magiclens.running.steps import Steps
 from magiclens.running.writing import write_figure_pictures
+
+if TYPE_CHECKING:
+    from magiclens.images.score import Score
+    from magiclens.preflight.finding import Preflight
 
 
 @dataclass(frozen=True)
@@ -44,26 +48,57 @@ class Questions:
         self._shown_plan = _without_files(plan)
         self._described_plan = self._shown_plan.resolved(HashedInputs()) if steps.cache else {}
 
-    def analyse(self, result: RunResult | None) -> list[Answer]:
-        """Let all analyses of the plan answer, in their order; pictures that they find are written.
+    @cached_property
+    def result(self) -> RunResult:
+        """Everything that the run has made, without a manifest; read from the cache as soon as somebody asks for it."""
+        return self._drafts.result(self._plan, self._steps.cache)
 
-        Args:
-            result: The run; None if answers are only looked up.
-        """
-        answers = (self._answer(planned, result) for planned in self._plan.analyses)
+    def scores(self) -> dict[str, list[Score]]:
+        """How near the pictures of each renderer are to their targets."""
+
+        def compare() -> dict[str, list[tuple[float, float, float]]]:
+            from magiclens.images.score import score
+
+            views = self._drafts.scene.value.views
+            return {
+                renderer: [astuple(score(picture, v.target)) for picture, v in zip(pictures.value, views, strict=True)]
+                for renderer, pictures in self._drafts.renders.items()
+            }
+
+        from magiclens.images.score import Score
+
+        made_of = self._steps.made_of("scores", {"scene": self._drafts.scene, **self._drafts.renders})
+        found = self._steps.files("scores", made_of, self._folder, compare, shown=False)
+        return {renderer: [Score(*each) for each in of_views] for renderer, of_views in found.items()}
+
+    def measures(self) -> dict[str, float]:
+        """The metrics of all artifacts."""
+
+        def collect() -> dict[str, float]:
+            made = self.result
+            every = (made.candidates, made.assignment, made.height_field, made.unfinished, made.solid)
+            return {name: float(value) for each in every for name, value in each.metrics.items()}
+
+        made_of = self._made_of("metrics")
+        return self._steps.files("metrics", made_of, self._folder, collect, shown=False)
+
+    def analyse(self) -> list[Answer]:
+        """Let all analyses of the plan answer, in their order; pictures that they find are written."""
+        answers = (self._answer(planned) for planned in self._plan.analyses)
         return [answer for answer in answers if answer]
 
-    def draw(self, answers: Sequence[Answer], result: RunResult) -> list[str]:
+    def draw(self, answers: Sequence[Answer], metrics: Mapping[str, float | None]) -> list[str]:
         """Draw the figures of answers, and write them.
 
         Args:
             answers: What the analyses have found.
-            result: Its manifest has the metrics, and nothing else that figures could depend on.
+            metrics: Those of the manifest, of which figures may tell; of all else in it they know nothing.
 
         Returns:
             The figures as blocks of the report's page, in order.
         """
-        return [block for answer in answers for block in self._blocks(answer, result)]
+        shown = Kept(None, lambda: replace(self.result, manifest={"metrics": metrics}))
+        return [block for answer in answers for block in self._blocks(answer, metrics, shown)]
 
     def preflight(self, facts: dict[str, Any]) -> None:
         """Check what was exported, if it is a mesh, and write the preflight's page.
@@ -82,15 +117,22 @@ class Questions:
             from magiclens.preflight.page import write_preflight
 
             solid = self._drafts.solid.value
-            write_preflight(run_preflight(self._folder, facts, self._shown_plan, solid), self._folder)
+            write_preflight(run_preflight(self._folder, facts, self._shown_plan, solid, keep), self._folder)
+
+        def keep(check: Callable[[], Preflight]) -> Preflight:
+            from magiclens.preflight.finding import Preflight
+
+            made_of = self._made_of("findings", facts=seen)
+            work = lambda: check().as_plain()  # noqa: E731
+            return Preflight.from_plain(self._steps.files("findings", made_of, self._folder, work, shown=False))
 
         seen = {name: facts[name] for name in ("name", "metrics", "views")}
         hashes = {path.name: file_hash(path) for path in meshes} if self._steps.cache else {}
         made_of = self._made_of("preflight", facts=seen, meshes=hashes)
         self._steps.files("preflight", made_of, self._folder, partial(self._steps.part, "preflight", write))
 
-    def _answer(self, planned: PlannedAnalysis, result: RunResult | None) -> Answer | None:
-        findings = Kept(None, partial(self._findings, planned, result))
+    def _answer(self, planned: PlannedAnalysis) -> Answer | None:
+        findings = Kept(None, partial(self._findings, planned))
 
         def compute() -> dict[str, float] | None:
             found = self._steps.part(planned.name, lambda: findings.value)
@@ -103,22 +145,22 @@ class Questions:
         metrics = self._steps.files(planned.name, made_of, self._folder, compute)
         return None if metrics is None else Answer(planned, metrics, findings)
 
-    def _findings(self, planned: PlannedAnalysis, result: RunResult | None) -> Findings | None:
-        assert result is not None
+    def _findings(self, planned: PlannedAnalysis) -> Findings | None:
+        result = self.result
         with blaming(str(planned)):
             findings = planned.analysis.compute(self._shown_plan, result)
             if findings is not None and not isinstance(findings, Findings):
                 raise BadArtifact(f"it found a {type(findings).__name__} instead of Findings")
             return findings
 
-    def _blocks(self, answer: Answer, result: RunResult) -> list[str]:
+    def _blocks(self, answer: Answer, metrics: Mapping[str, float | None], shown: Kept[RunResult]) -> list[str]:
         from magiclens.report.write import write_figure
 
         def draw() -> list[str]:
-            return [write_figure(figure, self._folder) for figure in self._figures(answer, result)]
+            return [write_figure(figure, self._folder) for figure in self._figures(answer, shown.value)]
 
         name = f"figures of {answer.planned.name}"
-        made_of = self._made_of_answer(name, answer.planned, metrics=dict(result.manifest["metrics"]))
+        made_of = self._made_of_answer(name, answer.planned, metrics=dict(metrics))
         return self._steps.files(name, made_of, self._folder, draw, shown=False)
 
     def _figures(self, answer: Answer, result: RunResult) -> list[Figure]:

@@ -55,7 +55,7 @@ def forecast(plan: Plan, cache: Cache | None) -> list[Expected]:
     if cache is None:
         return [Expected(step.name, False, ("nothing is kept: the cache is off",)) for step in plan.steps]
     drafts = make_lens(plan, steps.known(plan.scene()), Path(), steps)
-    Questions(plan, drafts, Path(), steps).analyse(None)
+    Questions(plan, drafts, Path(), steps).analyse()
     return steps.expected
 
 

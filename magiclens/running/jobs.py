@@ -21,7 +21,7 @@ from magiclens.plan.blame import blaming
 from magiclens.plan.compile import Plan, load_plan
 from magiclens.plan.registry import EXECUTOR, Registry
 from magiclens.running.manifest import spec_text, versions
-from magiclens.running.pipeline import kept_run, run_plan
+from magiclens.running.pipeline import kept_run, write_run
 from magiclens.running.run_files import verified
 
 
@@ -41,9 +41,9 @@ class RunJob:
 
 
 def run_job(job: RunJob, registry: Registry | None = None) -> dict[str, Any]:
-    """Do a run, unless its run folder is up to date, and return its manifest. Raises like ``run_plan``."""
+    """Do a run, unless its run folder is up to date, and return its manifest. Raises like ``write_run``."""
     plan = load_plan(job.spec, job.overrides, registry)
-    return finished_manifest(plan, Path(job.out)) or kept_run(plan, job.out) or run_plan(plan, job.out).manifest
+    return finished_manifest(plan, Path(job.out)) or kept_run(plan, job.out) or write_run(plan, job.out)
 
 
 def finished_manifest(plan: Plan, folder: Path) -> dict[str, Any] | None:

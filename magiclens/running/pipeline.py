@@ -2,30 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from magiclens.cache.store import Cache, new_entry, usual_cache
 from magiclens.config.document import document_of
 from magiclens.config.fields import Inputs
 from magiclens.config.model import Spec
-from magiclens.contract.artifacts import FloatArray, Scene
+from magiclens.contract.artifacts import FloatArray
 from magiclens.contract.result import RunResult
 from magiclens.plan.compile import Plan, compile_plan, load_plan
 from magiclens.plan.registry import Registry
-from magiclens.running.answers import Answer, Questions
+from magiclens.running.answers import Questions
 from magiclens.running.feasible import require_feasible
 from magiclens.running.folder import place_for
 from magiclens.running.ingredients import key_of, of_run
 from magiclens.running.making import make_lens
-from magiclens.running.manifest import ScoresByRenderer, build_manifest, outside_inputs, spec_text, write_manifest
+from magiclens.running.manifest import build_manifest, outside_inputs, spec_text, write_manifest
 from magiclens.running.observers import Observer
 from magiclens.running.replacing import atomic_folder
 from magiclens.running.steps import Steps
 from magiclens.running.writing import copy_inputs
+
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True, repr=False)
@@ -128,7 +130,21 @@ def run_plan(plan: Plan, out_dir: str | Path, observer: Observer | None = None, 
         InputError: The spec asks for what cannot be, or something at ``out_dir`` would be lost, see ``place_for``.
         StageError: A stage failed or broke its contract.
     """
-    out, observer = Path(out_dir), observer or Observer()
+    whole, result = _run(plan, Path(out_dir), observer or Observer(), cache, _everything)
+    return Run(Path(out_dir), whole, result)
+
+
+def write_run(
+    plan: Plan, out_dir: str | Path, observer: Observer | None = None, cache: Cache | None = None
+) -> dict[str, Any]:
+    """Run a plan as ``run_plan`` does, and return the manifest alone: what was made is read only if a step needs it."""
+    return _run(plan, Path(out_dir), observer or Observer(), cache, lambda *_: None)[0]
+
+
+def _run(
+    plan: Plan, out: Path, observer: Observer, cache: Cache | None, wanted: Callable[[Questions, dict[str, Any]], _T]
+) -> tuple[dict[str, Any], _T]:
+    """The manifest of a run, and what ``wanted`` makes of what it has made and of the manifest without files."""
     require_feasible(plan)
     place = place_for(out)
     cache = cache or usual_cache(observer.notice)
@@ -137,19 +153,24 @@ def run_plan(plan: Plan, out_dir: str | Path, observer: Observer | None = None, 
     _tell_notices(plan, observer)
     try:
         with atomic_folder(place, observer.notice) as folder:
-            result = _make(plan, folder, steps)
-            whole = write_manifest(folder, result.manifest, steps.timings())
+            facts, questions = _make(plan, folder, steps)
+            result = wanted(questions, facts)
+            whole = write_manifest(folder, facts, steps.timings())
             if cache and made_of:
                 # most contents of its files are kept already, by the steps that wrote them
                 files = [artifact["path"] for artifact in whole["artifacts"]]
-                cache.keep(new_entry("run", made_of, whole["seconds"], result.manifest, files), folder=folder)
+                cache.keep(new_entry("run", made_of, whole["seconds"], facts, files), folder=folder)
         # only now, when the folder is in its place: observers may read it
         steps.tell("mlens_run_done", folder=out, manifest=whole)
     finally:
         if cache:
             cache.tidy()
         observer.stopped()
-    return Run(out, whole, result)
+    return whole, result
+
+
+def _everything(questions: Questions, facts: dict[str, Any]) -> RunResult:
+    return replace(questions.result, manifest=facts)
 
 
 def kept_run(
@@ -197,9 +218,8 @@ def _tell_notices(plan: Plan, observer: Observer) -> None:
         observer.notice(f"{failure}; see 'mlens plugins'")
 
 
-def _make(plan: Plan, folder: Path, steps: Steps) -> RunResult:
-    """Fill a run folder with everything but the manifest."""
-    from magiclens.drawing.photographs import photographs
+def _make(plan: Plan, folder: Path, steps: Steps) -> tuple[dict[str, Any], Questions]:
+    """Fill a run folder with everything but the manifest; what the manifest shall say, and who knows the rest."""
     from magiclens.report.write import write_report
 
     inputs = Inputs()
@@ -207,30 +227,12 @@ def _make(plan: Plan, folder: Path, steps: Steps) -> RunResult:
     copy_inputs(inputs, folder)
     drafts = make_lens(plan, steps.known(steps.part("pictures", plan.scene)), folder, steps)
     questions = Questions(plan, drafts, folder, steps)
-    result = drafts.result(plan, steps.cache)
-    answers = questions.analyse(result)
-    facts = build_manifest(
-        plan, inputs, result.painted, _metrics(result, answers), _scores(result.scene, result.renders)
-    )
+    answers, scores = questions.analyse(), questions.scores()
+    metrics = dict(questions.measures())
+    for answer in answers:
+        metrics |= answer.metrics
+    facts = build_manifest(plan, inputs, drafts.painted.value, metrics, scores)
     questions.preflight(facts)
-    result = replace(result, manifest={"metrics": facts["metrics"]})
-    blocks = steps.part("figures", partial(questions.draw, answers, result))
-    whole = replace(result, manifest=facts)
-    steps.part("report", lambda: write_report(whole, blocks, photographs(result), folder))
-    return whole
-
-
-def _metrics(result: RunResult, answers: Iterable[Answer]) -> dict[str, float]:
-    """Numbers for the manifest, from artifacts and analyses."""
-    made = (result.candidates, result.assignment, result.height_field, result.unfinished, result.solid)
-    sources = [*(artifact.metrics for artifact in made), *(answer.metrics for answer in answers)]
-    return {name: value for metrics in sources for name, value in metrics.items()}
-
-
-def _scores(scene: Scene, renders: Mapping[str, Sequence[FloatArray]]) -> ScoresByRenderer:
-    from magiclens.images.score import score
-
-    return {
-        renderer: [score(picture, view.target) for picture, view in zip(pictures, scene.views, strict=True)]
-        for renderer, pictures in renders.items()
-    }
+    blocks = steps.part("figures", partial(questions.draw, answers, facts["metrics"]))
+    steps.part("report", lambda: write_report(drafts.scene.value, facts, blocks, scores, folder))
+    return facts, questions
