@@ -62,6 +62,11 @@ def lies_on_black(path: str | PathLike[str]) -> bool:
     return _hidden_by_white(_values_of(path))
 
 
+def rgb_picture(path: str | PathLike[str]) -> Image:
+    """The picture of a file as Pillow has it, in 8-bit colours. Raises InputError like ``read_image``."""
+    return _decode(path)[0].convert("RGB")
+
+
 def check_not_tiny(picture: FloatArray, path: str | PathLike[str]) -> None:
     """Raise InputError for a picture (H, W, C), read from a file, that has next to no detail to show."""
     rows, columns = picture.shape[:2]

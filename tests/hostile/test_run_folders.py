@@ -50,7 +50,8 @@ def commands(folder: Path) -> list[list[str]]:
 def refused(arguments: list[str]) -> bool:
     """Whether a command ends with 2 and one line."""
     done = CliRunner().invoke(app, arguments)
-    if done.exit_code == 0:
+    unfit = arguments[0] == "preflight" and done.exit_code == 1 and not done.stderr  # so it was read
+    if done.exit_code == 0 or unfit:
         return False
     assert done.exit_code == 2, done.output
     assert done.stderr.startswith("error: ")
@@ -270,6 +271,13 @@ def test_a_spec_that_names_files_elsewhere_is_refused(folder: Path, tmp_path: Pa
         yaml.dump(spec, file)
     forge(folder, "spec.yaml")
     assert all(refused(command) for command in commands(folder))
+
+
+@pytest.mark.parametrize("name", ["sources/frame-01.png", "targets/frame-00.png", "renders/tracer/frame-00.png"])
+def test_a_picture_that_is_none_is_found_out_whatever_the_manifest_says(name: str, folder: Path) -> None:
+    (folder / name).write_bytes((folder / name).read_bytes()[:100])
+    forge(folder, name)
+    assert all(refused(commands(folder)[k]) for k in (2, 3))
 
 
 def test_what_is_whole_is_read(folder: Path) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from magiclens.images.files import rgb_picture
 from magiclens.pages.pictures import data_uri
 
 if TYPE_CHECKING:
@@ -26,19 +27,17 @@ def picture_uri_within(path: Path, most_bytes: int) -> str:
 
 
 def thumbnail_uri(path: Path, side: int) -> str:
-    """The data URI of a picture, shrunk to (side, side)."""
+    """The data URI of a picture, shrunk to (side, side). Raises InputError if it cannot be read."""
     from PIL import Image
 
-    with Image.open(path) as image:
-        return data_uri(_webp(image.convert("RGB").resize((side, side), Image.Resampling.LANCZOS), 80), "webp")
+    return data_uri(_webp(rgb_picture(path).resize((side, side), Image.Resampling.LANCZOS), 80), "webp")
 
 
 def _tries(path: Path) -> Iterator[tuple[bytes, str]]:
     """Contents of picture files and their formats, better ones first, down to a single pixel."""
     from PIL import Image
 
-    with Image.open(path) as opened:
-        image = opened.convert("RGB")
+    image = rgb_picture(path)
     yield _webp(image, None), "webp"
     while True:
         yield from (_lossy(image, quality) for quality in _QUALITIES)
