@@ -61,6 +61,8 @@ def run_preflight(
         raise InputError("there is no mesh file to be made; add an exporter such as stl", str(folder))
     try:
         file = read_mesh_file(paths[0])
+        if not np.isfinite(file.extent_mm).all():
+            raise ValueError("some of its corners are nowhere")
     except Exception as error:  # readers of broken files raise anything
         broken = Finding("mesh", "red", f"{paths[0].name} cannot be read: {error}")
         verdict = verdict_of(folder, manifest, plan)
