@@ -37,8 +37,6 @@ _PREFLIGHT = ("preflight.html", "preflight.json")
 """Files of preflight."""
 _PICTURES = ("sources/", "targets/", "renders/", "figures/")
 """Folders of pictures, which preflight compares and shows."""
-_SAMPLES = 3
-"""Samples along a side of a pixel of what is seen in any pose."""
 
 
 @dataclass(frozen=True)
@@ -199,13 +197,16 @@ class OpenRun:
         fitting = (resize(padded_to_square(source), transport.source_shape) for source in sources)
         return (transport.see(medium.shown(source) if medium else source) for source in fitting)
 
-    def seen(self, pose: Pose | None = None, name: str | None = None, resolution: int = 256) -> FloatArray:
+    def seen(
+        self, pose: Pose | None = None, name: str | None = None, resolution: int = 256, samples: int = 3
+    ) -> FloatArray:
         """What a view's eye sees when sheet, lens and eye do not lie as designed, through the lens as it is made.
 
         Args:
             pose: How far they are from where they should be; None for nowhere else.
             name: The view, the first one by default.
-            resolution: Pixels along a side of the picture, R, each of 9 samples.
+            resolution: Pixels along a side of the picture, R.
+            samples: Samples along a side of each pixel.
 
         Returns:
             (R, R, C) float32, linear light.
@@ -216,13 +217,14 @@ class OpenRun:
         from magiclens.rendering.poses import Pose, PosedLens
 
         place = self.scene.views.index(self.view(name))
-        if resolution not in self._posed:
-            self._posed[resolution] = PosedLens(self._body, self.scene.lens, resolution, _SAMPLES)
-        return self._posed[resolution].picture(self.lit_scene.views[place], pose or Pose())
+        kept = (resolution, samples)
+        if kept not in self._posed:
+            self._posed[kept] = PosedLens(self._body, self.scene.lens, resolution, samples)
+        return self._posed[kept].picture(self.lit_scene.views[place], pose or Pose())
 
     @cached_property
-    def _posed(self) -> dict[int, PosedLens]:
-        """By resolution: a sheet that is moved below the lens needs no other rays."""
+    def _posed(self) -> dict[tuple[int, int], PosedLens]:
+        """By resolution and samples: a sheet that is moved below the lens needs no other rays."""
         return {}
 
     @cached_property

@@ -28,6 +28,9 @@ _TABLE = 0.62
 """Linear light around the sheet."""
 _ASIDE = 0.75
 """How far to the right the lens comes from, in widths of the picture."""
+_MOVING, _RESTING = (0.5, 1), (1.0, 2)
+"""Share of the pixels along a side, and samples along a side of each, that are traced of a lens that moves, and of one
+that lies still: nobody sees what a few hundredths of a second lack, and tracing is most of the work."""
 
 
 def film_uri(lens: OpenRun) -> str:
@@ -46,7 +49,7 @@ def _frames(lens: OpenRun) -> Iterator[tuple[Image, int]]:
         yield frame.without_lens(), _SHEET_MS
         for t in np.linspace(0, 1, _STEPS + 1)[1:]:
             away = _ASIDE * frame.wide_mm * (1 - t * t * (3 - 2 * t))
-            yield frame.with_lens(away), _STEP_MS if t < 1 else _PICTURE_MS
+            yield frame.with_lens(away, _MOVING if t < 1 else _RESTING), _STEP_MS if t < 1 else _PICTURE_MS
 
 
 @dataclass(frozen=True)
@@ -80,13 +83,14 @@ class _Frame:
         """The table with the sheet."""
         return _picture(self.sheet)
 
-    def with_lens(self, away_mm: float) -> Image:
-        """The same with the lens on it, so far to the right."""
+    def with_lens(self, away_mm: float, fineness: tuple[float, int]) -> Image:
+        """The same with the lens on it, so far to the right and as fine as ``_MOVING`` or ``_RESTING`` say."""
         from magiclens.rendering.poses import Pose
 
         size_mm = self.lens.plan.lens.size_mm
-        pixels = round(_SIDE_PX * size_mm / self.wide_mm)
-        seen = self.lens.seen(Pose(shift_x_mm=-away_mm, eye_x_mm=-away_mm), self.view.name, pixels)
+        share, samples = fineness
+        pixels = round(share * _SIDE_PX * size_mm / self.wide_mm)
+        seen = self.lens.seen(Pose(shift_x_mm=-away_mm, eye_x_mm=-away_mm), self.view.name, pixels, samples)
         covered = _Frame(self.lens, self.view, self.sheet.copy(), self.wide_mm)
         covered._paste(seen, size_mm, (away_mm, 0.0))
         return _picture(covered.sheet)
