@@ -33,8 +33,8 @@ _SHADERS = {
 all that shows the sheet follows ``light``."""
 _SCRIPTS = (
     "lens.js", "webgl.js", "table.js", "solid.js", "page.js", "pace.js", "poses.js", "look.js", "geometry.js",
-    "words.js", "painter.js", "motion.js", "links.js", "input.js", "controls.js", "projector.js", "gif.js", "film.js",
-    "main.js",
+    "words.js", "painter.js", "motion.js", "links.js", "input.js", "controls.js", "projector.js", "gif.js", "mp4.js",
+    "film.js", "main.js",
 )  # fmt: skip
 """Parts of the script in the order in which they are joined: constants are used only after their part."""
 

@@ -1,8 +1,7 @@
-// A film to share: the lens glides onto the sheet, and from view to view. MP4 where the browser writes it, else a GIF.
+// A film to share: the lens glides onto the sheet, and from view to view. MP4 where the browser encodes video, else a GIF.
 
 const FILM_PX = 480, FPS = 12, MOST_VIEWS = 4;
 const GLIDE_FRAMES = 14, TURN_FRAMES = 8, HOLD_FRAMES = 16;
-const FILM_KINDS = ["video/mp4;codecs=avc1.42E01F", "video/mp4;codecs=vp9", "video/mp4"];
 
 // Poses of a film with their views, and how many frames each of them is shown.
 function filmPoses() {
@@ -27,7 +26,7 @@ async function filmed(painter, said) {
   stage.classList.add("mlens-filming");
   try {
     for (const [k, frame] of film.entries()) {
-      frame.picture = painter.still(frame.pose, frame.view, FILM_PX, mm);
+      frame.picture = painter.still(frame.pose, frame.view, FILM_PX, mm, frame.frames > 1);
       said(`The film is being made: ${Math.round((100 * (k + 1)) / film.length)} %`);
       await pause();
     }
@@ -39,43 +38,12 @@ async function filmed(painter, said) {
   return film;
 }
 
-// Plays the pictures into a recorder, which takes as long as the film is.
-async function recorded(film, kind) {
-  const screen = Object.assign(document.createElement("canvas"), { width: FILM_PX, height: FILM_PX }), context = screen.getContext("2d", { willReadFrequently: true });
-  const stream = screen.captureStream(FPS), recorder = new MediaRecorder(stream, { mimeType: kind, videoBitsPerSecond: 4e6 }), parts = [];
-  const ended = new Promise((done, failed) => {
-    recorder.addEventListener("dataavailable", (event) => parts.push(event.data));
-    recorder.addEventListener("stop", done);
-    recorder.addEventListener("error", (event) => failed(event.error ?? new Error("the film cannot be recorded")));
-  });
-  context.drawImage(film[0].picture, 0, 0);
-  recorder.start();
-  for (const { picture, frames } of film) {
-    for (let k = 0; k < frames; k++) {
-      context.drawImage(picture, 0, 0); // a frame that is not drawn anew is not recorded
-      await new Promise((done) => setTimeout(done, 1000 / FPS));
-    }
-  }
-  recorder.stop();
-  await ended;
-  stream.getTracks().forEach((track) => track.stop());
-  const film_ = new Blob(parts, { type: "video/mp4" });
-  if (!film_.size) throw new Error("nothing was recorded");
-  return film_;
-}
-
 async function filmFile(painter, said) {
-  const film = await filmed(painter, said), kind = "MediaRecorder" in window && FILM_KINDS.find((each) => MediaRecorder.isTypeSupported(each));
-  if (kind) {
-    said("The film is being recorded");
-    try {
-      return { name: "magic-lens.mp4", content: await recorded(film, kind) };
-    } catch {
-      // a browser that says it can, and cannot
-    }
-  }
+  const film = await filmed(painter, said);
   said("The film is being written");
   await pause();
+  const video = await mp4(film, FILM_PX, FPS);
+  if (video) return { name: "magic-lens.mp4", content: video };
   return { name: "magic-lens.gif", content: gif(film.map(({ picture, frames }) => ({ picture, hold: frames / FPS })), FILM_PX) };
 }
 

@@ -1,4 +1,4 @@
-// A GIF that loops forever, for browsers that record no MP4: one palette for all pictures, LZW.
+// A GIF that loops forever, for browsers that encode no video: one palette for all pictures, LZW.
 
 const LEVELS = [6, 7, 6]; // of red, green, blue: 252 colours
 

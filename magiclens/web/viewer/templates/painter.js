@@ -93,10 +93,11 @@ class Painter {
     return light;
   }
 
-  // A square picture of the sheet at any pose, so many mm wide, on a canvas of its own. The page's canvas is spoiled until ``touch``.
-  still(pose, view, size, mm) {
+  // A square picture of the sheet at any pose, so many mm wide, on a canvas of its own; ``fine`` if it is looked at for longer than a moment.
+  // The page's canvas is spoiled until ``touch``.
+  still(pose, view, size, mm, fine) {
     this.lay(view);
-    const { wood, lost } = colors(), seen = tableView(pose, lens, size, size, mm / size, [0, 0]), samples = Math.sqrt(Math.min(this.table.most, 4));
+    const { wood, lost } = colors(), seen = tableView(pose, lens, size, size, mm / size, [0, 0]), samples = fine && this.table.most > 1 ? 2 : 1;
     for (let k = 0; k < samples * samples; k++) this.table.add(seen, pose, { wood, lost, sheen: sheen(pose, view) }, k, samples, false);
     resized(size, size);
     this.table.present(size, size);
