@@ -70,7 +70,7 @@ def picture(tmp_path: Path) -> Path:
 
 
 def visit(browser: Browser, address: str, width: int, **options: Any) -> tuple[Page, list[str]]:
-    tab = browser.new_page(viewport={"width": width, "height": 900}, reduced_motion="reduce", **options)
+    tab = browser.new_page(viewport={"width": width, "height": 900}, **{"reduced_motion": "reduce"} | options)
     complaints = listen(tab, address.split("/?")[0])
     tab.goto(address)
     expect(tab.locator("#room")).to_contain_text("on the disk")
@@ -165,6 +165,38 @@ def test_the_page_fits_and_axe_finds_nothing(
     expect(tab.locator("#yaml")).to_have_value(re.compile("type: single"))
     assert fits(tab)
     assert serious(tab) == []
+    assert not complaints
+    tab.close()
+
+
+WATCHED = """
+    const put = CanvasRenderingContext2D.prototype.putImageData, pictures = [];
+    CanvasRenderingContext2D.prototype.putImageData = function (image, ...at) {
+        pictures.push(image.data.slice());
+        put.call(this, image, ...at);
+    };
+    const apart = (one, other) => one.reduce((sum, value, k) => sum + Math.abs(value - other[k]), 0) / one.length;
+    const off = () => pictures.map((one) => apart(one, pictures.at(-1)));
+    document.getElementById("preview").off = off;
+"""
+"""How far each picture that was drawn is from the last one."""
+
+
+@pytest.mark.parametrize("motion", ["no-preference", "reduce"])
+def test_the_guess_gets_better_tile_by_tile_unless_motion_is_unwelcome(
+    browser: Browser, address: str, picture: Path, motion: Any
+) -> None:
+    tab, complaints = visit(browser, address, 1440, reduced_motion=motion)
+    tab.evaluate(f"() => {{ {WATCHED} }}")
+    tab.set_input_files("#files", picture)
+    tab.get_by_label("Facets along a side").fill("96")
+    expect(tab.locator("#preview")).to_contain_text("A guess, not a promise")
+    expect(tab.locator("#preview img")).to_be_visible()
+    expect(tab.locator("#preview[data-done='96']")).to_be_visible()
+    off = tab.evaluate("document.getElementById('preview').off()")
+    assert off == sorted(off, reverse=True)
+    assert off[0] > 10, "it begins with the dots"
+    assert len(off) == 2 if motion == "reduce" else len(off) > 4
     assert not complaints
     tab.close()
 

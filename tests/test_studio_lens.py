@@ -131,6 +131,7 @@ def order(visitor: Visitor) -> Locator:
     tab.get_by_label("Side of the lens").fill("25")
     visitor.clicks += 1  # on the slider
     expect(tab.locator("#preview canvas")).to_be_visible()
+    expect(tab.locator("#preview[data-done]")).to_be_visible()
     visitor.click(tab.get_by_role("button", name="Design a draft", exact=True))
     job = tab.locator(".job").first
     expect(job.get_by_role("img", name="As the machine makes it")).to_be_visible(timeout=PATIENCE_MS)
@@ -186,10 +187,18 @@ def test_the_same_on_a_phone_in_the_dark(browser: Browser, served: Served, tmp_p
     job = order(visitor)
     expect(visitor.tab.locator(".job")).to_have_count(many + 1)
     with visitor.tab.expect_popup() as opened:
-        job.get_by_role("link", name="Move the lens over its sheet").first.click()
+        job.get_by_role("link", name="The viewer on a page of its own").first.click()
     opened.value.evaluate("magiclens.ready")
     assert opened.value.evaluate("magiclens.views") == ["single"]
     opened.value.close()
+    job.get_by_text("Move the lens over its sheet").first.click()
+    job.locator("iframe").first.scroll_into_view_if_needed()
+    inside = job.locator("iframe").first.element_handle().content_frame()
+    assert inside
+    inside.wait_for_load_state()
+    inside.evaluate("magiclens.ready")
+    inside.get_by_role("radio", name="As designed").check(force=True)
+    assert inside.evaluate("self.origin") == "null", "it has nothing to do with the studio's page"
     mesh, sheet = files(visitor, visitor.tab.locator(".job").last)
     assert visitor.clicks <= CLICKS - 1, "the full design would take one more"
     assert mesh[:2] == b"PK"

@@ -14,13 +14,14 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 _PAGE_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'unsafe-inline'; img-src 'self' blob: data:; connect-src 'self'; "
-    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    "frame-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 RUN_POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src 'self' blob: data:; "
-    "media-src 'self' blob: data:; connect-src blob: data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    "media-src 'self' blob: data:; connect-src blob: data:; base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
 )
-"""Content security policy for files of runs: their pages work, and can ask the studio for nothing but pictures."""
+"""Content security policy for files of runs: their pages work, within the studio's page, too, and can ask the studio
+for nothing but pictures."""
 _HEADERS = {
     "content-security-policy": _PAGE_POLICY,
     "x-content-type-options": "nosniff",

@@ -5,7 +5,8 @@ const list = document.getElementById("jobs");
 const nothing = list.firstElementChild;
 const shown = new Map();
 const TITLES = { draft: "Draft", full: "Full design" };
-const PAGES = { "view.html": "Move the lens over its sheet", "show.html": "Show the sheet on a screen", "report.html": "Report", "preflight.html": "Preflight" };
+const VIEWER = "view.html";
+const PAGES = { [VIEWER]: "The viewer on a page of its own", "show.html": "Show the sheet on a screen", "report.html": "Report", "preflight.html": "Preflight" };
 const MAIN_FILES = 3;
 const TICK_MS = 1000;
 
@@ -112,12 +113,26 @@ function result(job, want, run) {
     element("p", { className: `verdict ${run.verdict?.status ?? ""}` }, run.verdict ? sentence(run.verdict.text) : "Not checked: no mesh was written."),
     element("p", { className: "muted" }, coarse),
     ...run.views.map((view) => element("div", { className: "views" }, ...figures(view, at))),
+    run.pages.includes(VIEWER) ? viewer(at(VIEWER), job.title) : "",
     element("div", { className: "row" }, ...files(downloads.slice(0, MAIN_FILES), at, "button first")),
     element("p", { className: "links" }, ...run.pages.map((page) => link(at(page), PAGES[page])), download(at("share.gif"), "Film to share, GIF")),
     downloads.length > MAIN_FILES ? details("More files", files(downloads.slice(MAIN_FILES), at, "")) : "",
     details(`${notes.length || "No"} ${notes.length === 1 ? "remark" : "remarks"} before you make it`, notes.map((c) => `${c.check}: ${c.text}`)),
     details("How exactly sheet, lens and eye must be placed", run.tolerances),
   );
+}
+
+// The viewer is loaded when somebody opens it. It may run scripts, but has nothing to do with this page.
+function viewer(href, title) {
+  const box = element("details", { className: "viewer" }, element("summary", {}, "Move the lens over its sheet"));
+  box.addEventListener("toggle", () => {
+    if (!box.open || box.querySelector("iframe")) return;
+    const frame = element("iframe", { title: `The viewer of ${title}` });
+    frame.setAttribute("sandbox", "allow-scripts allow-downloads");
+    frame.src = href;
+    box.append(frame);
+  });
+  return box;
 }
 
 function files(downloads, at, className) {

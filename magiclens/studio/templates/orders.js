@@ -135,11 +135,12 @@ function open(text) {
 
 export function listen() {
   const drop = document.getElementById("drop");
-  const files = document.getElementById("files");
-  files.addEventListener("change", async () => {
-    await add([...files.files]);
-    files.value = "";
-  });
+  for (const files of [document.getElementById("files"), document.getElementById("camera")]) {
+    files.addEventListener("change", async () => {
+      await add([...files.files]);
+      files.value = "";
+    });
+  }
   for (const kind of ["dragover", "dragleave", "drop"]) {
     document.addEventListener(kind, (event) => {
       event.preventDefault();
