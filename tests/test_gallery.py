@@ -403,6 +403,17 @@ def test_broken_links_are_found(tmp_path: Path) -> None:
 
 
 @pytest.mark.tools
+def test_figures_have_a_look_for_dark_pages(site: Path) -> None:
+    text = (site / "lenses" / "worm.html").read_text(encoding="utf-8")
+    dark = re.findall(r'srcset="\.\./(\S+-dark\.webp)" media="screen and \(prefers-color-scheme: dark\)"', text)
+    assert dark
+    for path in dark:
+        with Image.open(site / path) as one, Image.open(site / path.replace("-dark", "")) as other:
+            assert one.size == other.size
+            assert max(one.convert("L").getpixel((3, 3)), 80) < other.convert("L").getpixel((3, 3))
+
+
+@pytest.mark.tools
 def test_pages_are_light(site: Path) -> None:
     assert heavy_pages(site) == {}
     assert page_bytes(site, "lenses/worm.html") > 100_000
@@ -523,7 +534,7 @@ class _References(HTMLParser):
     def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
         found = {key: value or "" for key, value in attributes}
         self.anchors |= {found["id"]} if "id" in found else set()
-        self.links += [found[key] for key in ("href", "src", "poster") if key in found]
+        self.links += [found[key] for key in ("href", "src", "srcset", "poster") if key in found]
         loads = {"img": "src", "script": "src", "link": "href", "video": "poster"}
         self.loaded += [found[key] for name, key in loads.items() if tag == name and key in found]
 

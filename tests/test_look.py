@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from magiclens.analysis.tolerances import _COLOURS as CURVE_COLOURS
-from magiclens.drawing.tiles import MUTED_COLOUR, PAPER_COLOUR, TEXT_COLOUR
+from magiclens.drawing.dark import DARK_PAPER_COLOUR, DARK_TEXT_COLOUR, for_dark_pages
+from magiclens.drawing.scales import GLOW, ColourScale
+from magiclens.drawing.tiles import MUTED_COLOUR, PAPER_COLOUR, TEXT_COLOUR, Tile, picture_boxes, render_rows
 from magiclens.images import to_linear
 from magiclens.pages.templating import colours
 
@@ -53,6 +55,39 @@ def test_charts_have_the_colours_of_light_pages() -> None:
     assert contrast(MUTED_COLOUR, PAPER_COLOUR) > READABLE
     for curve in CURVE_COLOURS:
         assert contrast(curve, PAPER_COLOUR) > SEEN, curve
+
+
+def darkened(colour: str) -> str:
+    pixel = np.array([[list(bytes.fromhex(colour[1:]))]], np.uint8)
+    return f"#{bytes(for_dark_pages(pixel)[0, 0]).hex()}"
+
+
+def test_charts_on_dark_pages_have_their_colours_and_curves_keep_their_hues() -> None:
+    dark = colours()["dark"]
+    assert (dark["card"], dark["ink"]) == (DARK_PAPER_COLOUR, DARK_TEXT_COLOUR)
+    assert (darkened("#ffffff"), darkened("#000000")) == (DARK_PAPER_COLOUR, DARK_TEXT_COLOUR)
+    for text in (TEXT_COLOUR, MUTED_COLOUR):
+        assert contrast(darkened(text), DARK_PAPER_COLOUR) > READABLE
+    for curve in CURVE_COLOURS:
+        assert contrast(darkened(curve), DARK_PAPER_COLOUR) > SEEN, curve
+        strongest = [max(range(3), key=bytes.fromhex(each[1:]).__getitem__) for each in (curve, darkened(curve))]
+        assert strongest[0] == strongest[1], curve
+
+
+def test_on_dark_pages_lines_change_and_pictures_stay() -> None:
+    picture, chart = np.full((40, 60, 3), 200, np.uint8), np.full((40, 60, 3), 255, np.uint8)
+    scale = ColourScale(GLOW, 0.0, 1.0)
+    rows = [[Tile(picture, "A title", "a caption", scale), Tile(chart, drawn=True)]]
+    whole, boxes = np.asarray(render_rows(rows)), picture_boxes(rows)
+    dark, kept = for_dark_pages(whole, boxes), np.zeros(whole.shape[:2], bool)
+    for left, upper, right, lower in boxes:
+        kept[upper:lower, left:right] = True
+    assert [(right - left, lower - upper) for left, upper, right, lower in boxes] == [(60, 40), (20, 40)]
+    assert (dark[kept] == whole[kept]).all()
+    assert (whole[boxes[0][1] : boxes[0][3], boxes[0][0] : boxes[0][2]] == 200).all(), "the box is the picture's place"
+    paper = (whole == 255).all(axis=-1) & ~kept
+    assert paper.sum() > 60 * 40
+    assert (dark[paper] == tuple(bytes.fromhex(DARK_PAPER_COLOUR[1:]))).all()
 
 
 def test_colours_are_named_in_one_place() -> None:

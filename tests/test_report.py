@@ -158,7 +158,7 @@ def test_equal_runs_give_equal_reports(data: RunResult, report: Path, tmp_path: 
 def test_figures_carry_their_words_and_no_dates(report: Path) -> None:
     for name in FIGURES:
         with Image.open(report / "figures" / f"{name}.png") as image:
-            assert set(image.info) == {"Title", "Description"}
+            assert set(image.info) == {"Title", "Description", "Pictures"}
             assert all(image.info.values())
 
 

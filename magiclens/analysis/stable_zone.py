@@ -199,7 +199,7 @@ def _curve(result: RunResult, zone: Zone) -> Figure:
     return Figure(
         "stable-zone-curve",
         "How large the viewing zone is",
-        [[Tile(chart.draw(), "", caption)]],
+        [[Tile(chart.draw(), "", caption, drawn=True)]],
         "How good the picture is from the worst of eight directions into which the eye may move. "
         "Dotted lines are as far from the middle as the eyes for which the lens was made.",
     )

@@ -234,7 +234,7 @@ def _chart(response: Response, views: Sequence[View], ssim: bool) -> Tile:
         legend="shaded",
     )
     text = f"{0 + within[0]:.2g} to {within[1]:+.2g} {response.unit}".strip()
-    return Tile(chart.draw(), _TITLES[response.field], text)
+    return Tile(chart.draw(), _TITLES[response.field], text, drawn=True)
 
 
 def _shift_map(found: Tolerances) -> Figure:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from magiclens.contract.artifacts import FloatArray
+from magiclens.drawing.dark import Box
 from magiclens.drawing.scales import ColourScale, Pixels
 from magiclens.images.colour import to_display
 from magiclens.images.resample import resize
@@ -41,12 +42,16 @@ _BAR = 20
 
 @dataclass(frozen=True)
 class Tile:
-    """A picture (H, W, 3) with a title above, a caption below, and a colour bar at its right."""
+    """A picture (H, W, 3) with a title above, a caption below, and a colour bar at its right.
+
+    ``drawn`` says that it is lines on paper, as charts are, which look otherwise on dark pages.
+    """
 
     picture: Pixels
     title: str = ""
     caption: str = ""
     scale: ColourScale | None = None
+    drawn: bool = False
 
     @property
     def width(self) -> int:
@@ -103,16 +108,39 @@ def render_rows(rows: Sequence[Sequence[Tile]]) -> Image:
     """Draw rows of tiles on white paper; a row has a line for titles or captions if one of its tiles has one."""
     from PIL import Image, ImageDraw
 
-    columns = [max(r[k].width for r in rows if k < len(r)) for k in range(max(map(len, rows)))]
+    columns = _columns(rows)
     width = sum(columns) + TILE_GAP * (len(columns) + 1)
     image = Image.new("RGB", (width, sum(map(_height, rows)) + TILE_GAP), PAPER_COLOUR)
-    draw, y = ImageDraw.Draw(image), TILE_GAP
-    for row in rows:
-        below_titles = y + _titles(row)
-        for k, tile in enumerate(row):
-            _draw_tile(image, draw, tile, (TILE_GAP + sum(columns[:k]) + TILE_GAP * k, below_titles))
-        y += _height(row)
+    draw = ImageDraw.Draw(image)
+    for tile, corner in _placed(rows):
+        _draw_tile(image, draw, tile, corner)
     return image
+
+
+def picture_boxes(rows: Sequence[Sequence[Tile]]) -> list[Box]:
+    """Where pictures and colour bars are in what ``render_rows`` draws; all else, charts too, is drawn on paper."""
+    found: list[Box] = []
+    for tile, (x, y) in _placed(rows):
+        height, width = tile.picture.shape[:2]
+        if not tile.drawn:
+            found.append((x, y, x + width, y + height))
+        if tile.scale:
+            found.append((x + width + TILE_GAP // 2, y, x + width + TILE_GAP // 2 + _BAR, y + height))
+    return found
+
+
+def _placed(rows: Sequence[Sequence[Tile]]) -> Iterator[tuple[Tile, tuple[int, int]]]:
+    """Tiles with the upper left corners of their pictures."""
+    columns, y = _columns(rows), TILE_GAP
+    for row in rows:
+        for k, tile in enumerate(row):
+            yield tile, (TILE_GAP + sum(columns[:k]) + TILE_GAP * k, y + _titles(row))
+        y += _height(row)
+
+
+def _columns(rows: Sequence[Sequence[Tile]]) -> list[int]:
+    """Their widths."""
+    return [max(r[k].width for r in rows if k < len(r)) for k in range(max(map(len, rows)))]
 
 
 def _titles(row: Sequence[Tile]) -> int:

@@ -10,6 +10,7 @@ from urllib.parse import quote
 
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 
+from magiclens.drawing.dark import for_dark_pages
 from magiclens.pages.pictures import webp_uri
 
 
@@ -50,5 +51,5 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"webp_uri": webp_uri, "quoted": quote}
+    environment.filters |= {"webp_uri": webp_uri, "for_dark_pages": for_dark_pages, "quoted": quote}
     return environment

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from magiclens.contract.artifacts import Scene
 from magiclens.drawing.figure import Figure
-from magiclens.drawing.tiles import render_rows
+from magiclens.drawing.tiles import picture_boxes, render_rows
 from magiclens.images.score import ScoresByRenderer
 from magiclens.report.page import figure_block, report_page
 
@@ -40,10 +40,11 @@ def write_report(
 
 
 def _words(figure: Figure) -> PngInfo:
-    """Title and caption, which the picture's file keeps."""
+    """Title and caption, which the picture's file keeps, and which parts of it are pictures, for dark pages."""
     from PIL.PngImagePlugin import PngInfo
 
     words = PngInfo()
     words.add_itxt("Title", figure.title)
     words.add_itxt("Description", figure.caption)
+    words.add_text("Pictures", " ".join(",".join(map(str, box)) for box in picture_boxes(figure.rows)))
     return words

@@ -6,7 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from magiclens.contract.errors import InputError
+from magiclens.drawing.dark import for_dark_pages
 from magiclens.running.replacing import atomic_file
 
 if TYPE_CHECKING:
@@ -14,13 +17,18 @@ if TYPE_CHECKING:
 
 _QUALITY = 72
 """Quality of pictures, 0 to 100."""
+_PICTURES = "Pictures"
+"""Key in the file of a figure, see ``report.write``."""
 _PREVIEW_PX = (1200, 630)
 """Width and height of the picture with which a link to a page is shown elsewhere."""
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture of the site; ``path`` is relative to the site's folder, width and height are in pixels."""
+    """A picture of the site; ``path`` is relative to the site's folder, width and height are in pixels.
+
+    ``dark`` is the path of the same for dark pages, if it has a look of its own there.
+    """
 
     path: str
     width: int
@@ -28,6 +36,7 @@ class Picture:
     alt: str
     title: str = ""
     caption: str = ""
+    dark: str = ""
 
 
 class Album:
@@ -56,12 +65,15 @@ class Album:
                 title, caption = (str(image.info.get(key, "")) for key in ("Title", "Description"))
                 size = _scaled_down(image.size, width)
                 path = self._path(source, group, size[0])
-                if not _is_newer(self._site / path, source):
+                dark = path.replace(".webp", "-dark.webp") if _PICTURES in image.info else ""
+                if not all(_is_newer(self._site / file, source) for file in (path, dark) if file):
                     _write_webp(self._site / path, _resized(image, size))
+                    if dark:
+                        _write_webp(self._site / dark, _resized(_darkened(image), size))
         except OSError as error:
             raise InputError(f"this is no picture that can be read: {error}", str(source)) from None
-        self.paths.add(path)
-        return Picture(path, *size, alt or title, title, caption)
+        self.paths |= {path, dark} - {""}
+        return Picture(path, *size, alt or title, title, caption, dark)
 
     def preview(self, source: Path, photo: Path, group: str, alt: str) -> Picture:
         """Write a sheet and what is seen of it side by side, as JPEG of the size that previews of links have.
@@ -116,6 +128,14 @@ def _resized(image: Image, size: tuple[int, int]) -> Image:
     from PIL import Image
 
     return image.convert("RGB").resize(size, Image.Resampling.LANCZOS)
+
+
+def _darkened(image: Image) -> Image:
+    """A figure as it suits dark pages; its file says which parts of it are pictures."""
+    from PIL import Image
+
+    boxes = [tuple(map(int, box.split(","))) for box in str(image.info[_PICTURES]).split()]
+    return Image.fromarray(for_dark_pages(np.asarray(image.convert("RGB")), boxes))
 
 
 def _is_newer(made: Path, source: Path) -> bool:
