@@ -201,6 +201,32 @@ def test_the_guess_gets_better_tile_by_tile_unless_motion_is_unwelcome(
     tab.close()
 
 
+def test_cards_move_for_less_than_five_seconds_and_when_they_are_pointed_at(browser: Browser, address: str) -> None:
+    """Longer motion needs a button that stops it (WCAG 2.2.2), and keeps a machine without a GPU busy."""
+    tab = browser.new_page(viewport={"width": 1440, "height": 900}, reduced_motion="no-preference")
+    tab.clock.install()
+    tab.goto(address)
+    moving = "document.getAnimations().filter((each) => each.playState === 'running').length"
+    tab.locator(".cards.moving").wait_for()
+    assert tab.evaluate(moving) > 5
+    tab.clock.fast_forward(5000)
+    assert tab.evaluate(moving) == 0
+    tab.locator(".card").nth(1).hover()
+    assert tab.evaluate(moving) > 0
+    tab.close()
+
+
+def test_phones_offer_their_camera(browser: Browser, address: str, picture: Path) -> None:
+    for phone in (True, False):
+        tab, _ = visit(browser, address, 390, has_touch=phone, is_mobile=phone)
+        assert tab.get_by_text("Take a photograph").is_visible() == phone
+        if phone:
+            tab.set_input_files("#camera", picture)
+            expect(tab.locator("#status")).to_have_text("star.png is added")
+            assert fits(tab)
+        tab.close()
+
+
 def test_mistakes_of_a_yaml_file_are_shown_with_their_lines_at_390_px(
     browser: Browser, address: str, tmp_path: Path
 ) -> None:

@@ -40,14 +40,15 @@ MOST_UPLOAD_BYTES = 20_000_000
 """Largest picture that is taken."""
 _MOST_JSON_BYTES = 500_000
 _SCRIPTS = ("main.js", "orders.js", "preview.js", "jobs.js", "server.js", "tiles.js")
-_CARDS = {
-    "single": ("One picture", "It appears when the lens lies on its sheet."),
-    "rotating": ("A picture for each turn", "Turn the lens by a quarter: another one appears."),
-    "multi-view": ("A picture for each eye", "Move your head: another one appears."),
-    "universal-animation": ("A key for any picture", "One lens, a printed sheet for each picture."),
-    "question-answer": ("Question and answer", "A sheet that asks in plain words; the lens answers."),
-}
-"""What stands on the card of a scenario: what the lens does, and what its owner sees."""
+_CARDS = (
+    ("single", "single", "One picture", "It appears when the lens lies on its sheet.", 1),
+    ("rotating", "rotating", "A picture for each turn", "Turn the lens by a quarter: another one appears.", 1),
+    ("multi-view", "multi-view", "A picture for each eye", "Move your head: another one appears.", 2),
+    ("universal-animation", "key", "A key for any picture", "One lens, a printed sheet for each picture.", 1),
+    ("question-answer", "question-answer", "Question and answer", "A sheet that asks; the lens answers.", 1),
+    ("universal-animation", "animation", "An animation", "A screen below the lens plays it, in dots.", 2),
+)
+"""Cards: scenario, thumbnail, what the lens does, what its owner sees, and fewest pictures that make sense."""
 _TYPES = {
     ".html": "text/html", ".png": "image/png", ".json": "application/json", ".pdf": "application/pdf",
     ".yaml": "text/plain", ".webp": "image/webp", ".svg": "image/svg+xml", ".gif": "image/gif", ".mp4": "video/mp4",
@@ -68,7 +69,10 @@ class Studio:
         response = HTMLResponse(
             render_page(
                 "magiclens.studio/studio.html",
-                cards=[(name, *words, LAYOUTS[name]) for name, words in _CARDS.items()],
+                cards=[
+                    (name, *words, max(least, LAYOUTS[name].least), LAYOUTS[name].most)
+                    for name, *words, least in _CARDS
+                ],
                 machines={name: _capital(profile.title) for name, profile in machines().items()},
             )
         )

@@ -133,7 +133,17 @@ function open(text) {
   yaml.focus();
 }
 
+// Longer motion would need a button to stop it, and keeps machines without a GPU busy. A card that is pointed at moves on.
+const MOVING_MS = 4800;
+
+function moveCards() {
+  const cards = form.querySelector(".cards");
+  cards.classList.add("moving");
+  setTimeout(() => cards.classList.remove("moving"), MOVING_MS);
+}
+
 export function listen() {
+  moveCards();
   const drop = document.getElementById("drop");
   for (const files of [document.getElementById("files"), document.getElementById("camera")]) {
     files.addEventListener("change", async () => {
