@@ -2,7 +2,7 @@
 
 // Time for a frame while something moves, scales of width and height to choose from, and how many pictures may be under way:
 // with one alone, the graphics would wait for the page. Of pictures of few pixels the time says little about larger ones.
-const BUDGET_MS = 60, SCALES = [1, 0.75, 0.5, 0.35, 0.25], UNDER_WAY = 2, MANY_PIXELS = 30000, LEAST_ROWS = 32;
+const BUDGET_MS = 60, SCALES = [1, 0.75, 0.5, 0.35, 0.25, 0.15], UNDER_WAY = 2, MANY_PIXELS = 30000, LEAST_ROWS = 32;
 
 function paceOf(gl) {
   const queue = [];
