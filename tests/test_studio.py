@@ -117,6 +117,7 @@ ADDRESSES = [
     ("DELETE", "/api/pictures/a.png"), ("POST", "/api/specs"), ("POST", "/api/jobs"),
     ("POST", "/api/jobs/0001-00000000/cancel"), ("DELETE", "/api/jobs/0001-00000000"), ("GET", "/pictures/a.png"),
     ("GET", "/jobs/0001-00000000/spec.yaml"), ("GET", "/api/previews/a.png"), ("POST", "/api/forecasts"),
+    ("DELETE", "/api/results"),
 ]  # fmt: skip
 
 
@@ -466,6 +467,19 @@ def test_a_spec_is_given_with_its_pictures(visit: Callable[[], Visitor]) -> None
         assert packed.read("spec.yaml").decode() == visitor.client.get(f"/jobs/{job}/spec.yaml").text
 
 
+def test_kept_results_are_cleared_and_all_else_stays(visit: Callable[[], Visitor]) -> None:
+    visitor = visit()
+    cache = visitor.store.root / "cache"
+    for name in ("entries-1/a.npz", "files-1/b"):
+        (cache / name).parent.mkdir(exist_ok=True)
+        (cache / name).write_bytes(b"x" * 1000)
+    before = visitor.client.get("/api/state").json()
+    assert before["kept_bytes"] == 2000
+    assert visitor.client.delete("/api/results").status_code == 204
+    after = visitor.client.get("/api/state").json()
+    assert (after["kept_bytes"], before["bytes"] - after["bytes"]) == (0, 2000)
+
+
 def test_pictures_are_previewed_as_a_spec_would_show_them(visit: Callable[[], Visitor]) -> None:
     visitor = visit()
     image, out = Image.new("L", (200, 100), 255), io.BytesIO()
@@ -570,7 +584,7 @@ def test_changes_are_told_as_events(visit: Callable[[], Visitor]) -> None:
         return [first, await anext(changes)]
 
     for event in asyncio.run(two_events()):
-        assert set(json.loads(event.removeprefix("data: "))) == {"pictures", "jobs", "bytes"}
+        assert set(json.loads(event.removeprefix("data: "))) == {"pictures", "jobs", "bytes", "kept_bytes"}
 
 
 def test_requests_side_by_side_are_all_answered(visit: Callable[[], Visitor]) -> None:

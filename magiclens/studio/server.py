@@ -108,6 +108,7 @@ class Studio:
                 "pictures": self._store.pictures(),
                 "jobs": [job_summary(self._store, job) for job in reversed(self._store.jobs())],
                 "bytes": self._store.used_bytes(),
+                "kept_bytes": self._store.kept_bytes(),
             }
 
     async def add_picture(self, request: Request) -> Response:
@@ -182,6 +183,11 @@ class Studio:
             self._store.delete_job(job)
         return Response(status_code=204)
 
+    async def forget_results(self, request: Request) -> Response:
+        """Delete what is kept for later runs."""
+        await run_in_threadpool(self._store.forget_results)
+        return Response(status_code=204)
+
     async def job_file(self, request: Request) -> Response:
         """A file in the folder of a job: its spec, also with its pictures, or a file of its runs."""
         job, path = self._job(request), request.path_params["path"]
@@ -229,6 +235,7 @@ def studio_app(store: StudioFolder, worker: Worker, door: Door) -> Starlette:
         route("POST", "/api/jobs", studio.add_job),
         route("POST", "/api/jobs/{job}/{what}", studio.ask),
         route("DELETE", "/api/jobs/{job}", studio.delete_job),
+        route("DELETE", "/api/results", studio.forget_results),
         route("GET", "/pictures/{name}", studio.picture),
         route("GET", "/jobs/{job}/{path:path}", studio.job_file),
     ]

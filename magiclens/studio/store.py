@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from magiclens.cache.store import Cache
 from magiclens.contract.errors import InputError
 from magiclens.images.files import read_image, write_png
 
@@ -156,6 +157,15 @@ class StudioFolder:
     def used_bytes(self) -> int:
         """Room that the folder takes, kept results included."""
         return folder_bytes(self.root)
+
+    def kept_bytes(self) -> int:
+        """Room that kept results take."""
+        return folder_bytes(self.root / "cache")
+
+    def forget_results(self) -> None:
+        """Delete kept results. A run that looks for one meanwhile makes it anew."""
+        Cache(self.root / "cache", 0).make_room()
+        self.touch()
 
     def _free(self, stem: str, content: bytes) -> Path:
         """A place for a picture: that of an equal one, or one that is not taken."""

@@ -14,8 +14,20 @@ setInterval(() => {
   for (const clock of list.querySelectorAll("[data-began]")) clock.textContent = duration(Date.now() / 1000 - clock.dataset.began);
 }, TICK_MS);
 
-export function showJobs(jobs, bytes) {
-  document.getElementById("room").textContent = `${room(bytes)} on the disk, results kept for later runs included.`;
+const forget = document.getElementById("forget");
+forget.addEventListener("click", () => trying(() => ask("DELETE", "/api/results").then(() => say("Kept results are cleared"))));
+
+async function trying(work) {
+  noComplaint();
+  try {
+    await work();
+  } catch (error) {
+    complain(error);
+  }
+}
+
+export function showJobs(jobs, bytes, kept) {
+  document.getElementById("room").textContent = `${room(bytes)} on the disk, ${room(kept)} of it results kept for later runs.`;
   const there = new Set(jobs.map((job) => job.id));
   for (const [id, known] of shown) {
     if (!there.has(id)) {
@@ -84,14 +96,7 @@ function state(job) {
 function button(text, key, job, work, className = "") {
   const made = element("button", { type: "button", ariaLabel: `${text}: ${job.title}`, className }, text);
   made.dataset.key = key;
-  made.addEventListener("click", async () => {
-    noComplaint();
-    try {
-      await work();
-    } catch (error) {
-      complain(error);
-    }
-  });
+  made.addEventListener("click", () => trying(work));
   return made;
 }
 

@@ -12,7 +12,7 @@ events.addEventListener("message", (event) => {
   lost = false;
   const state = JSON.parse(event.data);
   showPictures(state.pictures);
-  showJobs(state.jobs, state.bytes);
+  showJobs(state.jobs, state.bytes, state.kept_bytes);
 });
 events.addEventListener("error", () => {
   lost = true;
