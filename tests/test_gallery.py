@@ -7,6 +7,7 @@ import re
 import shutil
 from collections.abc import Callable
 from html.parser import HTMLParser
+from itertools import product
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -501,12 +502,13 @@ def _complaints(site: Path, browser: Browser, home: str) -> dict[str, list[str]]
     return found
 
 
-def findings(site: Path, browser: Browser, colours: Any) -> dict[str, list[tuple[str, str]]]:
+def findings(site: Path, browser: Browser, colours: Any, width: int = 1280) -> dict[str, list[tuple[str, str]]]:
     """By page: rules of axe-core with serious or critical findings, and where. Dark pages differ in colours only."""
     options = {} if colours == "light" else {"runOnly": ["color-contrast"]}
     found = {}
     for page in pages_of(site):
-        tab = browser.new_page(color_scheme=colours, reduced_motion="reduce")
+        size: Any = {"width": width, "height": 900}
+        tab = browser.new_page(color_scheme=colours, reduced_motion="reduce", viewport=size)
         tab.goto((site / page).as_uri())
         rules = Axe().run(tab, options=options).response["violations"]
         tab.close()
@@ -588,7 +590,8 @@ def test_the_whole_gallery_is_quick_to_build_light_and_accessible(tmp_path: Path
     assert done.exit_code == 0, done.output
     assert (broken_links(site), heavy_pages(site)) == ([], {})
     assert complaints(site, browser, "file") == {}
-    assert findings(site, browser, "dark") == {}
+    for scheme, width in product(("light", "dark"), (1440, 390)):
+        assert findings(site, browser, scheme, width) == {}, (scheme, width)
 
 
 def test_a_list_that_is_no_mapping_is_an_input_error(tmp_path: Path) -> None:

@@ -8,12 +8,21 @@ function paceOf(gl) {
   const queue = [];
   let perPixel = 0, lastDone = 0, level = null;
 
+  // The level at which a picture has no more than this share of all pixels; the last one if none has so few.
+  function fitting(share) {
+    const found = SCALES.findIndex((scale) => scale * scale <= share);
+    return found < 0 ? SCALES.length - 1 : found;
+  }
+
   function learn(now) {
-    const { fence, began, pixels, moving } = queue.shift(), spent = now - Math.max(began, lastDone);
+    const { fence, began, pixels, moving, at } = queue.shift(), spent = now - Math.max(began, lastDone);
     gl.deleteSync(fence);
     lastDone = now;
     if (pixels >= MANY_PIXELS) perPixel = spent / pixels;
-    if (moving && level !== null) level = between(level + (spent > 1.3 * BUDGET_MS ? 1 : spent < 0.5 * BUDGET_MS ? -1 : 0), 0, SCALES.length - 1);
+    if (!moving || level === null) return;
+    if (spent > 1.3 * BUDGET_MS) level = Math.max(level, at + 1, fitting(SCALES[at] ** 2 * (BUDGET_MS / spent)));
+    else if (spent < 0.5 * BUDGET_MS) level = at - 1;
+    level = between(level, 0, SCALES.length - 1);
   }
 
   return {
@@ -23,13 +32,12 @@ function paceOf(gl) {
       return queue.length < UNDER_WAY;
     },
     drawn(now, pixels, moving) {
-      queue.push({ fence: gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0), began: now, pixels, moving });
+      queue.push({ fence: gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0), began: now, pixels, moving, at: level });
       gl.flush();
     },
     // The scale for a picture that had so many pixels at full size.
     scale(pixels) {
-      const guessed = SCALES.findIndex((scale) => scale * scale * pixels * perPixel <= BUDGET_MS);
-      level ??= guessed < 0 ? SCALES.length - 1 : guessed;
+      level ??= perPixel ? fitting(BUDGET_MS / (pixels * perPixel)) : 0;
       return SCALES[level];
     },
     // How many rows of so many pixels are drawn in time.
