@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from magiclens.contract.errors import InputError
-from magiclens.drawing.dark import for_dark_pages
+from magiclens.drawing.dark import Box, for_dark_pages
 from magiclens.running.replacing import atomic_file
 
 if TYPE_CHECKING:
@@ -134,7 +134,10 @@ def _darkened(image: Image) -> Image:
     """A figure as it suits dark pages; its file says which parts of it are pictures."""
     from PIL import Image
 
-    boxes = [tuple(map(int, box.split(","))) for box in str(image.info[_PICTURES]).split()]
+    boxes: list[Box] = []
+    for words in str(image.info[_PICTURES]).split():
+        left, upper, right, lower = map(int, words.split(","))
+        boxes.append((left, upper, right, lower))
     return Image.fromarray(for_dark_pages(np.asarray(image.convert("RGB")), boxes))
 
 
