@@ -105,6 +105,9 @@ def test_the_manifest_says_what_the_contract_says(run: Runner) -> None:
         "energy_after": 1.0,
         "step_max_mm": pytest.approx(done.result.height_field.metrics["step_max_mm"]),
         "volume_mm3": 1.0,
+        "width_mm": 20.0,
+        "depth_mm": 20.0,
+        "height_mm": pytest.approx(done.result.solid.vertices[:, 2].max()),
     }
     assert (manifest["seed"], manifest["versions"]["magiclens-toys"]) == (0, "1.2")
 

@@ -229,6 +229,7 @@ def test_parts_of_the_script_share_no_variable_that_changes() -> None:
     assert not any(shared.values()), shared
 
 
+@pytest.mark.tools
 def test_a_fragment_is_one_section_of_bounded_size_that_names_no_other_place(folders: dict[str, Path]) -> None:
     for folder in folders.values():
         text = viewer_fragment(folder)
@@ -238,11 +239,13 @@ def test_a_fragment_is_one_section_of_bounded_size_that_names_no_other_place(fol
         assert not re.search(r"""(src|href)\s*=\s*["'](?!data:)|url\(|https?://|\bfetch\(|\bimport\b""", text)
 
 
+@pytest.mark.tools
 def test_the_command_lists_its_page_in_the_manifest(folders: dict[str, Path]) -> None:
     manifest = json.loads((folders["rotating"] / "manifest.json").read_text())
     assert "view.html" in [file["path"] for file in manifest["artifacts"]]
 
 
+@pytest.mark.tools
 def test_the_command_says_what_is_wrong(folders: dict[str, Path], tmp_path: Path) -> None:
     bare = tmp_path / "bare"
     bare.mkdir()
