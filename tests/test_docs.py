@@ -52,7 +52,7 @@ def commands(page: Path) -> list[str]:
 WITH_COMMANDS = [page for page in PAGES if commands(page)]
 
 
-LONG = {"mill", "print", "first-lens"}
+LONG = {"mill", "print", "first-lens", "encode-a-message"}
 """Pages whose commands take a minute and more."""
 MARKED = [
     pytest.param(page, id=page.stem, marks=pytest.mark.sweep if page.stem in LONG else pytest.mark.tools)

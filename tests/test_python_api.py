@@ -136,8 +136,13 @@ def test_the_notebooks_in_the_docs_have_run(notebook: Path) -> None:
     assert sum("image/png" in out.get("data", {}) for cell in cells for out in cell.outputs) == 2
 
 
-@pytest.mark.tools
-@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "notebook",
+    [
+        pytest.param(path, id=path.stem, marks=pytest.mark.tools if path.stem == "first-lens" else pytest.mark.sweep)
+        for path in NOTEBOOKS
+    ],
+)
 def test_the_notebooks_in_the_docs_run(notebook: Path, tmp_path: Path) -> None:
     pages = nbformat.read(notebook, 4)
     size = '"facets": 20, "microfacets": 12'

@@ -18,6 +18,7 @@ from PIL import Image, ImageDraw
 from playwright.sync_api import Browser, Locator, Page, expect
 
 from browsers import listen
+from magiclens.kernels.cache_folder import cache_folder
 from test_studio_browser import fits, serious
 
 pytestmark = pytest.mark.tools
@@ -65,7 +66,8 @@ class Served:
 
 @pytest.fixture(scope="module")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    subprocess.run([*MLENS, "doctor", "--warm"], check=True, capture_output=True)
+    if not (cache_folder() / "all").exists():  # the session has compiled them, unless tests were named
+        subprocess.run([*MLENS, "doctor", "--warm"], check=True, capture_output=True)
     studio = Served(tmp_path_factory.mktemp("lens") / "studio")
     yield studio
     assert studio.stop() == ""

@@ -204,7 +204,7 @@ def _asking(plan: Plan, seen: _Seen) -> Need:
     """What analyses take that trace the lens again: at other places, and as its printer makes it."""
     wanted, machine = plan.spec.report.analyses, plan.fabrication and plan.fabrication.machine
     asked = {name for name in ("tolerances", "as-made", "ray-error") if wanted is None or name in wanted}
-    seconds = 6.0 + 2.5 * min(seen.views, 4) if "tolerances" in asked else 0.0
+    seconds = 0.5 + 1.6 * min(seen.views, 4) if "tolerances" in asked else 0.0
     if isinstance(machine, Printer):
         columns = min(plan.lens.size_mm**2 / math.prod(machine.pixels_mm), 4e7)
         seconds += 8e-7 * columns * (("as-made" in asked) + 1.5 * ("ray-error" in asked))
