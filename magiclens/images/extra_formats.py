@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 _SVG_SIDE_PX = 1024
 """Pixels of the longer side of a drawing, which has no pixels of its own."""
-_MOST_S, _MOST_BYTES = 1.5, 700_000_000
+_MOST_S, _MOST_BYTES = 0.8, 700_000_000
 """Processor time and memory that a drawing may take, its program included: a kilobyte can ask for hours of work."""
 _PATIENCE_S = 60
 """How long to wait for a drawing, however busy the machine, and where processor time cannot be limited."""
