@@ -125,7 +125,7 @@ def _gentle(us: FloatArray, vs: FloatArray, ws: FloatArray, slope: float) -> tup
     cells = distance_transform_cdt(np.pad((steepness < slope) & ordinary, 1, constant_values=True), "chessboard")
     narrowest = min(wide[wide >= least].min(), tall[tall >= least].min())
     gentle = np.maximum(cells[1:-1, 1:-1] - 1, 0) * np.float32(narrowest)
-    blocks = [np.diff(np.abs(lines[::BLOCK_CELLS])).min(initial=np.inf) for lines in (us - us[0], vs - vs[0])]
+    blocks = [np.abs(np.diff(lines[::BLOCK_CELLS])).min(initial=np.inf) for lines in (us, vs)]
     return gentle, slope, float(min(blocks))
 
 
