@@ -189,17 +189,11 @@ def brute_force(options: Exhaustive, scene: Scene, samples_of: Callable[[float, 
     return best
 
 
-@pytest.mark.parametrize("maps", ["symmetric", "scale"])
-@pytest.mark.parametrize("limit", [60.0, 10.0])
-def test_the_search_finds_what_brute_force_finds(maps: str, limit: float) -> None:
-    lens = small_lens(2, 3.0, source=12.0, max_slope_deg=limit)
-    scene = Scene(lens, (grey_view(blotches(120, 3.0), blotches(64, 8.0, seed=5)),))
-    options = Exhaustive(
-        window="4mm", step="0.4mm", scales=(0.15, 0.5, 0.8), pixels=8, candidates=9, maps=maps, polish=0
-    )
-    channels = stack_channels(scene)
-    tiles = channels.tiles(2, 8).reshape(4, 1, 8, 8)
-    pool = Pool(4, 3)
+def searched(options: Exhaustive, scene: Scene) -> tuple[Pool, dict]:
+    """What the search leaves in the pool, and what comparing every tile with every patch finds."""
+    channels, lens = stack_channels(scene), scene.lens
+    tiles = channels.tiles(lens.facets, options.pixels).reshape(lens.facets**2, -1, options.pixels, options.pixels)
+    pool = Pool(len(tiles), math.ceil(math.sqrt(options.candidates)))
     split: dict[tuple[float, float], tuple] = {}
 
     def remember(*arguments: object) -> tuple:
@@ -215,15 +209,40 @@ def test_the_search_finds_what_brute_force_finds(maps: str, limit: float) -> Non
         patch.setattr(rasters, "build_raster", remember)
         centres = lens.facet_centres_mm().reshape(-1, 2) * (1, -1)
         search_all(options, scene, channels, Tiles(tiles, centres, lens.pitch_mm), pool, silent)
-    pairs = itertools.product(options.scales, repeat=2) if maps == "symmetric" else [(s, s) for s in options.scales]
+    symmetric = options.maps == "symmetric"
+    pairs = itertools.product(options.scales, repeat=2) if symmetric else [(s, s) for s in options.scales]
     by_scales = dict(zip(pairs, split.values(), strict=True))
-    expected = brute_force(options, scene, lambda sx, sy: by_scales[sx, sy])
+    return pool, brute_force(options, scene, lambda sx, sy: by_scales[sx, sy])
+
+
+@pytest.mark.parametrize("maps", ["symmetric", "scale"])
+@pytest.mark.parametrize("limit", [60.0, 10.0])
+def test_the_search_finds_what_brute_force_finds(maps: str, limit: float) -> None:
+    lens = small_lens(2, 3.0, source=12.0, max_slope_deg=limit)
+    scene = Scene(lens, (grey_view(blotches(120, 3.0), blotches(64, 8.0, seed=5)),))
+    options = Exhaustive(
+        window="4mm", step="0.4mm", scales=(0.15, 0.5, 0.8), pixels=8, candidates=9, maps=maps, polish=0
+    )
+    pool, expected = searched(options, scene)
     assert {(f, k) for f, k in np.argwhere(np.isfinite(pool.errors)).tolist()} == set(expected)
     assert len(expected) > 12
     for (f, k), (error, offset, map_) in expected.items():
         assert pool.errors[f, k] == pytest.approx(error, abs=1e-6)
         np.testing.assert_allclose(pool.offsets[f, k], offset, atol=1e-9)
         np.testing.assert_array_equal(pool.maps[f, k], map_)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_nothing_is_missed_where_bounds_are_the_differences_themselves(seed: int) -> None:
+    """Tiles and patches of one tone, as in letters: what blocks' means leave out is nothing, and rounding decides."""
+    rng = np.random.default_rng(seed)
+    source, target = (rng.random((n, n)).repeat(k, 0).repeat(k, 1) for n, k in ((3, 40), (4, 8)))
+    lens = small_lens(4, 3.0, source=12.0)
+    options = Exhaustive(window="6.1mm", step="0.2mm", scales=(0.3, 0.8), pixels=4, candidates=9, polish=0)
+    pool, expected = searched(options, Scene(lens, (grey_view(source, target),)))
+    assert len(expected) >= 100
+    for (f, k), (error, _, _) in expected.items():  # which of several equal ones is found is not asked
+        assert pool.errors[f, k] == pytest.approx(error, abs=3e-7)
 
 
 # known patches

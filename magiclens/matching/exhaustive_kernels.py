@@ -299,31 +299,31 @@ def _compare(bucket, most, probed, patches, raster, seen, rule):
 
     Args:
         bucket: facet and number of the bucket; first and end of its rows and of its places in a row; places to look at.
-        most: sums above this cannot win, but for rounding.
-        probed: an offset whose sum is known, (row, place, sum): others must not be above it. Inf if none is known.
+        most: sums above this cannot win. It leaves room for rounding: a bound may be above the sum itself by its last bits.
+        probed: an offset whose sum is known, (row, place, sum).
         patches, raster, seen: where the offsets are.
         rule: window, optics, and the best of each bucket so far.
     """
     (f, k), rows, columns = bucket
     window, optics, found = rule
     size = np.float32(seen.tile.size)
-    norm, slack, enough = np.float32(1.0 / seen.tile.size), np.float32(1.0) + _ULP * size, probed[2]
+    norm, slack = np.float32(1.0 / seen.tile.size), np.float32(1.0) + _ULP * size
     for j in range(rows[0], rows[1]):
         limit = found.errors[f, k] / norm
         for n in columns:
-            if seen.tight[j, n] > most or seen.means[j, n] >= limit or seen.means[j, n] > enough:
+            if seen.tight[j, n] > most or seen.means[j, n] >= limit:
                 continue
             offset, at = _offset(patches, raster, j, n)
             far = _far(offset, window, seen.tile)
             bound = seen.means[j, n] + far
-            if bound >= limit or bound > enough:
+            if bound >= limit or bound > most:
                 continue
             sum_ = probed[2]
             if j != probed[0] or n != probed[1]:
                 if _sum_side_by_side(seen.tile, raster.samples, at, raster.skip_y, most - far) + far > most:
                     continue
-                sum_ = _difference(seen.tile, raster.samples, at, raster.skip_y, min(limit, enough) - far) + far
-            if sum_ >= limit or sum_ > enough or not _can_show(patches, offset, raster, seen, optics):
+                sum_ = _difference(seen.tile, raster.samples, at, raster.skip_y, min(limit, most) - far) + far
+            if sum_ >= limit or sum_ > most or not _can_show(patches, offset, raster, seen, optics):
                 continue
             limit, most = sum_, min(most, sum_ * slack + _LEAST_SLACK)
             found.errors[f, k] = sum_ * norm
