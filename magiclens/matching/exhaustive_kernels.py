@@ -299,7 +299,7 @@ def _compare(bucket, most, probed, patches, raster, seen, rule):
 
     Args:
         bucket: facet and number of the bucket; first and end of its rows and of its places in a row; places to look at.
-        most: sums above this cannot win. It leaves room for rounding: a bound may be above the sum itself by its last bits.
+        most: sums above this cannot win. It leaves room for rounding: a bound may be above its sum by the last bits.
         probed: an offset whose sum is known, (row, place, sum).
         patches, raster, seen: where the offsets are.
         rule: window, optics, and the best of each bucket so far.
