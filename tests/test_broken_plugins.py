@@ -154,18 +154,21 @@ def test_the_listing_names_each_with_its_version_and_the_reason(mlens: Mlens) ->
             "pipeline.exporters=[{type: raising}]",
             f"exporter raising ({versioned('raises-in-stage')}) failed: SystemExit: 4",
         ),
-        (
+        pytest.param(
             "pipeline.exporters=[{type: ending}]",
             f"exporter ending ({versioned('ends-in-stage')}) failed: SystemExit: it called os._exit(0)",
+            marks=pytest.mark.tools,
         ),
-        (
+        pytest.param(
             "pipeline.renderers=[{type: nan}]",
             f"renderer nan ({versioned('returns-nan')}) broke its contract: single has NaN or infinite values",
+            marks=pytest.mark.tools,
         ),
-        (
+        pytest.param(
             "pipeline.renderers=[{type: shapes}]",
             f"renderer shapes ({versioned('returns-shapes')}) broke its contract: "
             "single has shape (32, 31, 3) instead of (32, 32, 1)",
+            marks=pytest.mark.tools,
         ),
         (
             "pipeline.exporters=[{type: ply}]",
@@ -229,7 +232,7 @@ def test_a_plugin_that_hangs_is_named_and_can_be_disabled(tmp_path: Path) -> Non
     assert subprocess.run(told, env=env, capture_output=True, timeout=60, check=False).returncode == 0
 
 
-@pytest.mark.parametrize("name", ["copies-ply", "copies_ply", "Copies.PLY"])
+@pytest.mark.parametrize("name", ["copies-ply", pytest.param("Copies.PLY", marks=pytest.mark.tools)])
 def test_a_disabled_plugin_is_left_alone(name: str, mlens: Mlens) -> None:
     assert mlens("--disable-plugin", name, "check", "tiny.yaml").returncode == 0
     listing = mlens("--disable-plugin", name, "plugins").stdout

@@ -10,6 +10,7 @@ from types import ModuleType
 
 import pytest
 
+pytestmark = pytest.mark.tools
 ROOT = Path(__file__).parent.parent
 SOURCE = """
 def doubled(x, most=10):
