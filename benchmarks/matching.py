@@ -78,7 +78,7 @@ def search_window(source: FloatArray, target: FloatArray) -> FloatArray:
     # offsets of one pixel in a window of 100; a step of next to nothing makes the distance term nothing
     window = Window(0.5 * _OFFSETS - 0.25, 1e-9, _PARTS)
     # an eye so far above that a slab so thick can show every patch
-    optics = Optics(np.array([0.0, 0.0, 1e6]), False, 1e5, 0.0, 1.49, -1.0)
+    optics = Optics(np.array([0.0, 0.0, 1e6]), False, 1e5, 0.0, 1.49, -1.0, 1e6)
     pool = Pool(len(values), _PARTS)
     search(Tiles(values, centres, float(_PIXELS)), blocks, raster, window, False, optics, pool.found)
     return pool.errors * np.float32(values[0].size)

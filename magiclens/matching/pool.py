@@ -69,6 +69,6 @@ class Pool:
             row, column = divmod(int(empty[0]) + first_row * lens.facets, lens.facets)
             raise InputError(
                 f"facet (row {row}, column {column}) reaches no patch of the source: "
-                "use a smaller window or scales, a thicker lens, a larger gap or max_slope, or a larger source",
-                keys=("lens.max_slope", "window", "scales", "lens.thickness", "scenario.source.size"),
+                "use a smaller window or scales, a thicker lens, a larger gap, max_slope or relief, or a larger source",
+                keys=("lens.max_slope", "lens.relief", "window", "scales", "lens.thickness", "scenario.source.size"),
             )

@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+import math
+
 from magiclens.kernels.compiler import njit
+from magiclens.optics.lenslets import tallest
 from magiclens.optics.refraction import facet_normal
+
+_LOW = 3.0
+"""A lenslet rises by less than its steepest slope times this times half its side, twice what a plane does."""
+_SPARE = 1.15
+"""Relief that a lenslet must leave to spare: it is up to an eighth taller than nine points of it tell."""
 
 
 @njit(cache=True)
 def reachable(centre, offset, m, half, optics):
-    """Can a facet show this patch, facing the eye and below the slope limit? Checked at its centre and four corners.
+    """Can a facet show this patch, facing the eye, below the slope limit and within the relief?
+
+    The slopes are checked at its centre and four corners.
 
     Args:
         centre: x, y of the facet, mm, image frame (y down).
@@ -18,7 +28,7 @@ def reachable(centre, offset, m, half, optics):
         optics: ``Optics`` in the image frame.
     """
     (cx, cy), (rx, ry), (xx, xy, yy) = centre, offset, m
-    eye = optics.eye
+    eye, upright = optics.eye, 1.0
     for k in range(5):
         px = 0.0 if k == 4 else (half if k & 1 else -half)
         py = 0.0 if k == 4 else (half if k & 2 else -half)
@@ -28,7 +38,9 @@ def reachable(centre, offset, m, half, optics):
         faces_eye = n[0] * (eye[0] - x) + n[1] * (eye[1] - y) + n[2] * (eye[2] - optics.depth) > 0.0
         if n[2] < optics.cos_limit or not faces_eye:
             return False
-    return True
+        upright = min(upright, n[2])
+    slope = math.sqrt(max(1.0 - upright * upright, 0.0)) / upright
+    return _LOW * slope * half <= optics.relief or _SPARE * tallest(centre, offset, m, half, optics) <= optics.relief
 
 
 @njit(cache=True)

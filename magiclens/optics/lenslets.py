@@ -9,10 +9,14 @@ import numpy as np
 from magiclens.contract.artifacts import FloatArray
 from magiclens.kernels.compiler import njit
 from magiclens.kernels.threads import in_threads
-from magiclens.optics.eyes import height_gradient
+from magiclens.optics.eyes import height_gradient, project, surface_point
 from magiclens.optics.medium import Cut, Slab
 from magiclens.optics.refraction import facet_normal, refract
 from magiclens.optics.walls import Edges
+
+_ROUNDS, _SETTLED, _FAR_OFF = 6, 0.005, 1.3
+"""Iterations of slopes and heights, which depend on each other; share by which the last may change a height; how much
+more than the relief the first may say of a lenslet that fits."""
 
 
 @njit(cache=True)
@@ -180,3 +184,76 @@ def centre_slopes(centres: FloatArray, offsets: FloatArray, eye: FloatArray, sla
     out = np.zeros(offsets.shape)
     in_threads(_centre_slopes_part, len(offsets), centres, offsets, eye, slab, out)
     return out
+
+
+@njit(cache=True)
+def facet_slope(u, v, h, centre, offset, m, optics):
+    """dh/du and dh/dv at a point of the surface of a facet that shows a patch, and whether the slope limit was hit.
+
+    The reference eye sees the point at q of the reference plane, and shall see ``c + R + M (q - c)`` of the source
+    there; that gives the normal, ``optics.refraction.facet_normal``, and the normal gives the slopes. A normal with
+    ``n_z < cos_limit`` is turned upright until it meets the limit.
+
+    Args:
+        u: of the point on the reference plane, mm.
+        v: the same along +y, mm.
+        h: its height, mm.
+        centre: (2,) c of the facet, mm.
+        offset: (2,) R of the facet's patch, mm.
+        m: (3,) M of the facet's patch as (xx, xy, yy).
+        optics: an ``optics.medium.Optics``.
+
+    Returns:
+        dh/du, dh/dv, and whether the slope was held at its limit.
+    """
+    point = surface_point(optics, u, v, h, optics.depth)
+    # the eye sees the surface point where its ray crosses the reference plane: that is the point of the tile
+    x, y = project(optics.eye, point, optics.depth)
+    px, py = x - centre[0], y - centre[1]
+    sx = centre[0] + offset[0] + m[0] * px + m[1] * py
+    sy = centre[1] + offset[1] + m[1] * px + m[2] * py
+    nx, ny, nz = facet_normal(optics.eye, point, (sx, sy), optics)
+    cos_limit = optics.cos_limit
+    clamped = nz < cos_limit
+    if clamped:
+        side = math.sqrt((1.0 - cos_limit * cos_limit) / max(nx * nx + ny * ny, 1e-30))
+        nx, ny, nz = nx * side, ny * side, cos_limit
+    gu, gv = height_gradient(optics, u, v, (nx, ny, nz), optics.depth)
+    return gu, gv, clamped
+
+
+@njit(cache=True)
+def tallest(centre, offset, m, half, optics):
+    """How far a lenslet that shows a patch rises or falls from its mean, mm; of one that is much too tall, a guess.
+
+    Slopes at nine points, three along either side, are integrated as the quadratic through each three. Where the
+    surface is lower, it must be steeper, so slopes and heights are iterated. Arguments are those of ``facet_slope``;
+    half: half the pitch, mm.
+    """
+    tall = 0.0
+    along_u, along_v, heights, rises = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
+    share = half / 12.0
+    for _ in range(_ROUNDS):
+        for a in range(3):
+            for b in range(3):
+                u, v = centre[0] + (b - 1) * half, centre[1] + (a - 1) * half
+                gu, gv, _clamped = facet_slope(u, v, heights[a, b], centre, offset, m, optics)
+                along_u[a, b], along_v[a, b] = gu * share, gv * share
+        # from the middle of three points to one of the others: 5/12, 8/12 and -1/12 of the slopes there
+        for a in range(3):
+            for b in range(0, 3, 2):
+                rises[a, b] = (b - 1) * (5.0 * along_u[a, b] + 8.0 * along_u[a, 1] - along_u[a, 2 - b])
+        for a in range(0, 3, 2):
+            up = (a - 1) * (5.0 * along_v[a, 1] + 8.0 * along_v[1, 1] - along_v[2 - a, 1])
+            rises[a, 1] = up
+            for b in range(0, 3, 2):
+                side = (a - 1) * (5.0 * along_v[a, b] + 8.0 * along_v[1, b] - along_v[2 - a, b])
+                # both ways from the centre to a corner, over the middle of either side
+                rises[a, b] = 0.5 * (up + rises[a, b] + rises[1, b] + side)
+        corners = rises[0, 0] + rises[0, 2] + rises[2, 0] + rises[2, 2]
+        mean = (corners + 4.0 * (rises[0, 1] + rises[1, 0] + rises[1, 2] + rises[2, 1])) / 36.0  # Simpson's rule
+        heights = rises - mean
+        last, tall = tall, np.abs(heights).max()
+        if tall > _FAR_OFF * optics.relief or abs(tall - last) < _SETTLED * tall:
+            break
+    return tall

@@ -51,6 +51,7 @@ class Optics(NamedTuple):
         gap: air between the flat bottom and the source, mm.
         ior: index of refraction of the glass.
         cos_limit: cosine of the greatest angle allowed between a facet's normal and +z.
+        relief: how far the top may rise or fall from the reference plane, mm.
     """
 
     eye: FloatArray
@@ -59,6 +60,7 @@ class Optics(NamedTuple):
     gap: float
     ior: float
     cos_limit: float
+    relief: float
 
 
 def slab_of(lens: Lens) -> Slab:
@@ -74,7 +76,7 @@ def cut_of(scene: Scene) -> Cut:
 
 def optics_of(lens: Lens, cut: Cut) -> Optics:
     """What the facets of a lens are designed with, if it is cut like this."""
-    return Optics(*cut, *slab_of(lens), math.cos(math.radians(lens.max_slope_deg)))
+    return Optics(*cut, *slab_of(lens), math.cos(math.radians(lens.max_slope_deg)), float(lens.relief_mm))
 
 
 def image_optics_of(scene: Scene) -> Optics:
