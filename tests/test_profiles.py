@@ -199,6 +199,27 @@ def test_layers_are_diffused_where_slices_are_our_own(exporters: str, written: s
     assert [s.stage.slicing for s in plan.exporters if s.stage.type == "slices"] in ([], [slicing])
 
 
+@pytest.mark.parametrize(
+    ("name", "files", "slicing"),
+    [
+        ("sla", ["stl", "3mf", "sheet"], "plain"),
+        ("polyjet-600x300", ["stl", "3mf", "slices", "sheet"], "diffused"),
+        ("lcd-12k", ["stl", "3mf", "sl1", "sheet"], "diffused"),
+        ("diamond-turning", ["stl", "heightmap", "sheet"], None),
+        ("egx-600", ["stl", "rml", "sheet"], None),
+    ],
+)
+def test_a_spec_that_names_no_files_has_those_that_its_machine_reads(
+    name: str, files: list[str], slicing: str | None, load: Loader
+) -> None:
+    plan = load(f"fabrication={{machine: {name}}}", replace=("pipeline:\n  exporters: [{type: stl}]\n", ""))
+    assert [step.stage.type for step in plan.exporters] == files
+    assert [choice["type"] for choice in plan.resolved()["pipeline"]["exporters"]] == files
+    assert getattr(plan.fabrication.machine, "slicing", None) == slicing
+    bare = load("fabrication=null", replace=("pipeline:\n  exporters: [{type: stl}]\n", ""))
+    assert [step.stage.type for step in bare.exporters] == ["stl"]
+
+
 def test_facets_follow_from_what_the_process_rounds(load: Loader) -> None:
     machine = "fabrication={machine: sla, polish: 0mm, lacquer: {film: %s}}"
     lens = ("lens.size=100mm", "lens.facets=auto")

@@ -148,7 +148,7 @@ def _why_unlisted(name: str) -> str:
 def _writes_slices(document: Document, profile: Profile) -> bool:
     """Whether the spec exports slices of its own, whose rounding is ours; otherwise somebody else's slicer rounds."""
     pipeline = document.data.get("pipeline")
-    exporters = pipeline.get("exporters") if isinstance(pipeline, dict) else None
+    exporters = pipeline.get("exporters", profile.exporters) if isinstance(pipeline, dict) else profile.exporters
     named = exporters if isinstance(exporters, list) else []
     ours = [*profile.machine().exporters()]  # a list, since what is written as a type may be unhashable
     return any(isinstance(each, dict) and each.get("type") in ours for each in named)

@@ -250,7 +250,9 @@ class PipelineSpec(SpecModel):
     integrator: Choice = Field({}, description="turns choices into heights")
     finisher: Choice = Field({}, description="repairs and checks the mesh")
     encoder: Choice | None = Field(None, description="edits the source so that the finished lens shows the targets")
-    exporters: list[Choice] = Field([{"type": "stl"}], description="files to write")
+    exporters: list[Choice] = Field(
+        [{"type": "stl"}], description="files to write; with a machine what it reads and the sheet, too, if left out"
+    )
     renderers: list[Choice] = Field([{"type": "tracer"}], description="simulated photographs to take")
     rematch: int = Field(
         0, strict=True, ge=0, le=100,

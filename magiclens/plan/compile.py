@@ -290,6 +290,8 @@ class _Compiler:
         # the mistakes are noted, and ``settle`` raises the first of them before a plan is made
         if pipeline is None:
             return defaultdict(lambda: [None])
+        if self._fabrication and "exporters" not in pipeline.model_fields_set:
+            pipeline = pipeline.model_copy(update={"exporters": self._fabrication.profile.exporters})
         choices = {kind: pipeline.choice(kind, suited) for kind in (*DEFAULT_STAGES, Encoder.kind)}
         single = {k: [self._step(k, choice, ("pipeline", k))] if choice else [] for k, choice in choices.items()}
         several = {key: self._list(key, getattr(pipeline, key)) for key in LISTED_STAGES}

@@ -333,6 +333,11 @@ class Profile(BaseModel):
         """The class of this machine."""
         return PROCESSES[self.process]
 
+    @property
+    def exporters(self) -> list[dict[str, Any]]:
+        """The files of specs that name none: STL, which any program reads, the machine's own, and the sheet."""
+        return [{"type": name} for name in dict.fromkeys(("stl", *self.files, "sheet"))]
+
     def machine(self) -> Machine:
         """The machine with the options of the data file."""
         return self.model.model_validate(self.options)
