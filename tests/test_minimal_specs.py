@@ -28,10 +28,12 @@ def minimal(name: str, folder: Path) -> Path:
 
 
 def design(plan: Plan) -> dict[str, Any]:
-    """All of a plan that shapes the lens."""
+    """All of a plan that shapes the lens and decides on its score: all but other files and Mitsuba's pictures."""
     resolved = plan.resolved()
-    kept = {key: value for key, value in resolved["pipeline"].items() if key not in ("exporters", "renderers")}
-    return {"lens": resolved["lens"], "viewer": resolved["viewer"], **kept}
+    pipeline = {key: value for key, value in resolved["pipeline"].items() if key != "exporters"}
+    return resolved | {
+        "pipeline": pipeline | {"renderers": [each for each in pipeline["renderers"] if each["type"] == "tracer"]}
+    }
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
