@@ -8,17 +8,21 @@ from typing import Any
 
 from magiclens.config.model import LISTED_STAGES, Spec
 from magiclens.plan.registry import SCENARIO, STAGE, Registry
+from magiclens.profiles.machines import machines
 
 BAD = ("0", "-1", "1e-9", "1e12", ".nan", ".inf", "1e308", "-1e-9")
 """Nothing, less than nothing, and far too little or much of it, as YAML writes them."""
 
-_UNITS = {"|mm/s|": "mm/min", "|cm|": "mm", "(deg|": "deg", "(%)": "%"}
+UNITS = {"|mm/s|": "mm/min", "|cm|": "mm", "(deg|": "deg", "(%)": "%"}
 """Parts of the patterns of quantities, and the unit that is written for them."""
 
 PICTURE = "picture.png"
 """A file that must be there."""
 
-_SAMPLES = {"text": "abc", "name": "panda", "art": "panda", "path": PICTURE}
+MOVIE = "film.gif"
+"""Another one."""
+
+SAMPLES = {"text": "abc", "name": "panda", "art": "panda", "path": PICTURE, "image": PICTURE}
 """Values of keys that something which is chosen by its ``type`` requires."""
 
 PICTURES: dict[str, Any] = {"source": {"type": "circles"}, "target": {"art": "panda"}}
@@ -42,6 +46,43 @@ SCENARIOS: dict[str, dict[str, Any]] = {
 
 _REQUIRED: dict[str, dict[str, Any]] = {"monitor": {"ppi": 100}, "dart-throwing": {"reach": "100%"}}
 """Options of stages that have no default, or one that does not fit a tiny lens."""
+
+MACHINES = {
+    "printing": "{machine: printing, lacquer: {film: 20um}, grey: {bits: 4}, tilt: {angle: 10deg},"
+    " cure: {penetration: 0.2mm, critical: 10, exposure: 25}}",
+    "milling": "{machine: milling}",
+}
+"""One machine of each process, with the options that are left out by default."""
+_INSTEAD = {
+    "lacquer.wavelength": "{wavelength: 1mm}",
+    **{f"cutter.{key}": "{shape: v, diameter: 3mm}" for key in ("tip", "tip_form", "angle")},
+    **{f"rougher.{key}": "{shape: v, diameter: 3mm}" for key in ("tip", "tip_form", "angle")},
+    **{f"eye.{key}": "{tilt: 5deg, azimuth: 10deg}" for key in ("tilt", "azimuth")},
+    **{f"{what}.{key}": f"{{{key}: {SAMPLES[key]}}}" for what in ("target", "0", "answer") for key in
+       ("image", "art", "text")},
+    **{f"{what}.fit": f"{{image: {PICTURE}}}" for what in ("target", "0", "answer")},
+    "frames.fit": f"{{images: [{PICTURE}, {PICTURE}]}}",
+    "frames.images": f"{{images: [{PICTURE}, {PICTURE}]}}",
+    "frames.movie": f"{{movie: {MOVIE}}}",
+}  # fmt: skip
+"""What makes the place for options that others exclude, by the end of the path."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of a spec that has options of its own.
+
+    Attributes:
+        data: Of a tiny lens that has this part.
+        at: Its path in there.
+        schema: Of its model, as JSON Schema.
+        beside: ``--set`` texts that complete the spec.
+    """
+
+    data: dict[str, Any]
+    at: str
+    schema: Mapping[str, Any]
+    beside: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -69,24 +110,37 @@ class NumericOption:
 def all_numeric_options(registry: Registry) -> Iterator[tuple[dict[str, Any], NumericOption]]:
     """Every number of every scenario, stage and other part of a spec, with the data of a spec that may hold it."""
     seen = set()
-    for type_, scenario in registry.classes(SCENARIO).items():
-        for option in numeric_options(scenario.model_json_schema(), "scenario"):
+    for part in parts(registry):
+        for option in numeric_options(part.schema, part.at):
             # one and the same model, such as that of random discs, is part of many scenarios
-            shared = option.beside and (option.beside[-1].partition("=")[2], option.path.rpartition(".")[2])
-            if not shared or shared not in seen:
-                yield spec_of(type_), option
-            seen.add(shared)
+            model = option.beside and (option.beside[-1].partition("=")[2], option.path.rpartition(".")[2])
+            if not (part.at == "scenario" and model and model in seen):
+                yield part.data, replace(option, beside=(*part.beside, *option.beside, *instead(option.path)))
+            seen.add(model)
+
+
+def parts(registry: Registry) -> Iterator[Part]:
+    """Every scenario, stage and machine, and what is left of a spec."""
+    for type_, scenario in registry.classes(SCENARIO).items():
+        yield Part(spec_of(type_), "scenario", scenario.model_json_schema())
     lists = {kind: key for key, kind in LISTED_STAGES.items()}
     for _, kind, type_ in (key for key in registry.contributions if key[0] == STAGE):
-        stage = registry.classes(STAGE, kind)[type_]
         choice = {"type": type_, **_REQUIRED.get(type_, {})}
         chosen: dict[str, Any] = {lists[kind]: [choice]} if kind in lists else {kind: choice}
+        data = {**spec_of("universal-animation" if type_ == "dart-throwing" else "single"), "pipeline": chosen}
         at = f"pipeline.{lists[kind]}.0" if kind in lists else f"pipeline.{kind}"
-        scenario = "universal-animation" if type_ == "dart-throwing" else "single"
-        for option in numeric_options(stage.model_json_schema(), at):
-            yield {**spec_of(scenario), "pipeline": chosen}, option
-    for option in numeric_options(Spec.model_json_schema(), ""):
-        yield spec_of("single"), option
+        yield Part(data, at, registry.classes(STAGE, kind)[type_].model_json_schema())
+    for name, choice in MACHINES.items():
+        schema = machines()[name].model.model_json_schema()
+        yield Part(spec_of("single"), "fabrication", schema, (f"fabrication={choice}",))
+    yield Part(spec_of("single"), "", Spec.model_json_schema())
+
+
+def instead(path: str) -> tuple[str, ...]:
+    """The ``--set`` text that makes the place for an option that others exclude."""
+    above, _, key = path.rpartition(".")
+    other = _INSTEAD.get(f"{above.rpartition('.')[2]}.{key}")
+    return (f"{above}={other}",) if other else ()
 
 
 def spec_of(scenario: str) -> dict[str, Any]:
@@ -105,7 +159,7 @@ def numeric_options(schema: Mapping[str, Any], at: str) -> Iterator[NumericOptio
         name = str(node.get("$ref", "")).rpartition("/")[2]
         if name and name not in seen:
             found = definitions[name]
-            yield from walk(found, replace(here, beside=(*here.beside, *_chosen(found, here.path))), (*seen, name))
+            yield from walk(found, replace(here, beside=(*here.beside, *chosen_type(found, here.path))), (*seen, name))
         for choice in (*node.get("anyOf", ()), *node.get("oneOf", ())):
             yield from walk(choice, here, seen)
         for key, child in node.get("properties", {}).items():
@@ -119,19 +173,20 @@ def numeric_options(schema: Mapping[str, Any], at: str) -> Iterator[NumericOptio
             yield from (found for found in walk(items, first, seen) if found.path != first.path)
         elif node.get("type") in ("integer", "number"):
             yield here
-        elif unit := _unit(node):
+        elif unit := unit_of(node):
             yield replace(here, unit=unit)
 
     yield from dict.fromkeys(walk(schema, NumericOption(at), ()))
 
 
-def _chosen(model: Mapping[str, Any], path: str) -> tuple[str, ...]:
+def chosen_type(model: Mapping[str, Any], path: str) -> tuple[str, ...]:
     """The ``--set`` that chooses a model by its ``type``, with what it requires besides; nothing if it has no type."""
     type_ = model.get("properties", {}).get("type", {}).get("const")
-    needs = [key for key in model.get("required", ()) if key in _SAMPLES]
-    return (f"{path}={{type: {type_}, {', '.join(f'{key}: {_SAMPLES[key]}' for key in needs)}}}",) if type_ else ()
+    needs = [key for key in model.get("required", ()) if key in SAMPLES]
+    return (f"{path}={{type: {type_}, {', '.join(f'{key}: {SAMPLES[key]}' for key in needs)}}}",) if type_ else ()
 
 
-def _unit(node: Mapping[str, Any]) -> str:
+def unit_of(node: Mapping[str, Any]) -> str:
+    """The unit in which a quantity is written; empty for other values."""
     pattern = node.get("pattern", "") if node.get("type") == "string" else ""
-    return next((unit for part, unit in _UNITS.items() if part in pattern), "")
+    return next((unit for part, unit in UNITS.items() if part in pattern), "")

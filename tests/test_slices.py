@@ -156,7 +156,7 @@ def test_equal_solids_give_equal_bytes_and_others_do_not(tmp_path: Path) -> None
     ("option", "message"),
     [
         ("layer: 27", "layer: 27 is a bare number; a length needs a unit, such as '27mm'"),
-        ("layer: 0mm", "layer: must be more than 0mm"),
+        ("layer: 0mm", "layer: must be at least 1e-06mm"),
         ("dpi_x: 5", "dpi_x: must be at least 10"),
         ("dpi: 600", "dpi: unknown option; did you mean 'dpi_"),
     ],

@@ -21,7 +21,7 @@ from typing import ClassVar
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from magiclens.contract.artifacts import Assignment, Candidates, FloatArray, HeightField, Scene, Solid, Transport
+from magiclens.contract.artifacts import Assignment, Candidates, FloatArray, HeightField, Lens, Scene, Solid, Transport
 
 Progress = Callable[[float], None]
 """A function that long stages call with the fraction of the work that is done, from 0 to 1, never descending."""
@@ -244,6 +244,16 @@ class Exporter(Stage):
 
     kind: ClassVar[str] = "exporter"
     suffix: ClassVar[str]
+
+    def require_possible(self, lens: Lens) -> None:
+        """Find out whether a lens can be exported at all. It is asked before every run, so it must be quick.
+
+        Args:
+            lens: Its sizes and limits; nothing of it has been designed.
+
+        Raises:
+            InputError: No such lens can be, whatever it will show; its ``keys`` name the options at fault.
+        """
 
     @abstractmethod
     def export(self, scene: Scene, solid: Solid, path: Path) -> None:

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic import Field
 
-from magiclens.contract.artifacts import FloatArray, Scene, Solid
+from magiclens.contract.artifacts import FloatArray, Lens, Scene, Solid
 from magiclens.contract.errors import InputError
 from magiclens.contract.stages import Exporter
 from magiclens.contract.units import LENGTH, Length
@@ -31,6 +31,10 @@ class HeightMap(Exporter):
     suffix: ClassVar[str] = ".heightmap.png"
 
     pixel: Length = Field("0.05mm", validate_default=True, ge=0.0001, le=1000, description="side of a pixel, about")
+
+    def require_possible(self, lens: Lens) -> None:
+        """Pixels must be neither too many nor too large."""
+        self._side(lens.size_mm)
 
     def export(self, scene: Scene, solid: Solid, path: Path) -> None:
         """Write the picture, and what it means beside it. Raises InputError if pixels are too many or too large."""

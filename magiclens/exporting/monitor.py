@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from magiclens.contract.artifacts import FloatArray, Scene, Solid
+from magiclens.contract.artifacts import FloatArray, Lens, Scene, Solid
 from magiclens.contract.errors import InputError
 from magiclens.contract.stages import Exporter
 from magiclens.exporting.sources import distinct_sources
@@ -30,17 +30,26 @@ class Monitor(Exporter):
 
     ppi: float = Field(ge=20, le=2000, description="pixels per inch of the screen; no default, as it sets the size")
 
+    def require_possible(self, lens: Lens) -> None:
+        """A screen cannot be larger than any."""
+        self._side(lens.source_size_mm)
+
     def export(self, scene: Scene, solid: Solid, path: Path) -> None:
         """Write the picture of each source. Raises InputError if a screen cannot be that large."""
         size_mm, pixel_mm = scene.lens.source_size_mm, 25.4 / self.ppi
-        # less 1e-6: a source of a whole number of pixels must not get one more by rounding
-        side = math.ceil(size_mm / pixel_mm - 1e-6)
-        if side > _MOST_PIXELS:
-            wish = f"{size_mm:g} mm at {self.ppi:g} ppi are {side} pixels per side, more than {_MOST_PIXELS}"
-            raise InputError(f"{wish}; use {int(25.4 * _MOST_PIXELS / size_mm)} or less", keys=("ppi",))
+        side = self._side(size_mm)
         for k, (name, source) in enumerate(distinct_sources(scene).items()):
             file = path if k == 0 else path.with_name(path.name.replace(".png", f".{name}.png"))
             write_png(file, resampled(source, side, size_mm / pixel_mm), 1 / pixel_mm)
+
+    def _side(self, size_mm: float) -> int:
+        """Number of pixels per side."""
+        # less 1e-6: a source of a whole number of pixels must not get one more by rounding
+        side = math.ceil(size_mm * self.ppi / 25.4 - 1e-6)
+        if side > _MOST_PIXELS:
+            wish = f"{size_mm:g} mm at {self.ppi:g} ppi are {side} pixels per side, more than {_MOST_PIXELS}"
+            raise InputError(f"{wish}; use {int(25.4 * _MOST_PIXELS / size_mm)} or less", keys=("ppi",))
+        return side
 
 
 def resampled(linear: FloatArray, side: int, across: float) -> FloatArray:

@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from magiclens.contract.artifacts import Scene, Solid
+from magiclens.contract.artifacts import Lens, Scene, Solid
 from magiclens.contract.errors import InputError
 from magiclens.contract.stages import Exporter
 
@@ -35,6 +35,10 @@ class PrintSheet(Exporter):
     suffix: ClassVar[str] = ".pdf"
 
     paper: Paper = Field("auto", description="size of the pages; auto takes the first that is large enough")
+
+    def require_possible(self, lens: Lens) -> None:
+        """Paper must be larger than the source; margins, marks and words need more."""
+        self._paper_mm(lens.source_size_mm, lens.source_size_mm)
 
     def export(self, scene: Scene, solid: Solid, path: Path) -> None:
         """Write all pages. Raises InputError if the paper is too small."""

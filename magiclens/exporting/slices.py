@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 from zipfile import ZipFile
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field
 
-from magiclens.contract.artifacts import Scene, Solid
+from magiclens.contract.artifacts import Lens, Scene, Solid
 from magiclens.contract.errors import InputError
 from magiclens.contract.stages import Exporter
 from magiclens.contract.units import LENGTH, Length
@@ -36,10 +36,6 @@ _MOST_LAYERS = 10**5
 """Most layers; their names have five digits."""
 _SWING = 2
 """Layers above the highest point of a solid that error diffusion may use."""
-_LEAST_LAYER_MM = 1e-6
-"""Least height of a layer: far less than a printer can do."""
-
-
 _NAME = "layer-{:05d}.png"
 """Names of the files in ``slices``, by number of the layer."""
 _Side = Annotated[Length, Field(ge=1, le=2000)]
@@ -51,7 +47,7 @@ class LayerStack(Exporter):
 
     dpi_x: float = Field(600.0, ge=10, le=10000, description="pixels per inch along x")
     dpi_y: float = Field(300.0, ge=10, le=10000, description="pixels per inch along y")
-    layer: Length = Field("27um", validate_default=True, gt=0, le=1000, description="height of a layer")
+    layer: Length = Field("27um", validate_default=True, ge=1e-6, le=1000, description="height of a layer")
     slicing: Slicing = Field(
         "plain", description="how heights become layers: plain rounding, or error diffusion, which leaves no stairs"
     )
@@ -62,6 +58,13 @@ class LayerStack(Exporter):
     tilt: Tilt | None = Field(
         None, description="how the lens stands on the plate, flat if left out; supports below it are not in the layers"
     )
+
+    def require_possible(self, lens: Lens) -> None:
+        """The stack of a flat lens must not be too large; a top that swings beyond its mean height makes it larger."""
+        sides = np.array([lens.size_mm, lens.size_mm, lens.thickness_mm])
+        box = self.tilt.box_mm(sides) if self.tilt else sides
+        columns, rows, layers = (int(n) for n in box / [25.4 / self.dpi_x, 25.4 / self.dpi_y, self.layer])
+        self._require_room((layers, rows, columns))
 
     def _standing(self, solid: Solid) -> Solid:
         """The solid as it stands on the plate."""
@@ -76,6 +79,12 @@ class LayerStack(Exporter):
         if self.slicing == "diffused":
             layers += _SWING
             grid = replace(grid, shape=(layers, rows, columns))
+        self._require_room((layers, rows, columns))
+        return grid
+
+    def _require_room(self, shape: tuple[int, int, int]) -> None:
+        """Raise InputError if a stack of so many layers, rows and columns is too large."""
+        layers, rows, columns = shape
         if rows * columns > _MOST_PIXELS:
             wish = f"a layer would have {columns} x {rows} pixels, more than {_MOST_PIXELS:,}"
             lower = f"lower dpi_x and dpi_y, now {self.dpi_x:g} and {self.dpi_y:g}"
@@ -83,7 +92,6 @@ class LayerStack(Exporter):
         if layers > _MOST_LAYERS:
             wish = f"there would be {layers} layers, more than {_MOST_LAYERS:,}"
             raise InputError(f"{wish}; raise layer, now {LENGTH.text(self.layer)}", keys=("layer",))
-        return grid
 
     def _layers(self, solid: Solid, grid: VoxelGrid) -> Iterator[tuple[Image | None, float]]:
         """Every layer from the lowest up, row 0 at +y: its picture, None if it is like the last; its filled voxels."""
@@ -149,13 +157,6 @@ class Slices(LayerStack):
     type: ClassVar[str] = "slices"
     suffix: ClassVar[str] = ".slices.zip"
 
-    @field_validator("layer")
-    @classmethod
-    def _can_be_counted(cls, value: float) -> float:
-        if value < _LEAST_LAYER_MM:
-            raise ValueError(f"must be at least {LENGTH.text(_LEAST_LAYER_MM)}, got {LENGTH.text(value)}")
-        return value
-
     def export(self, scene: Scene, solid: Solid, path: Path) -> None:
         """Write the archive layer by layer. Raises InputError if the stack would be too large.
 
@@ -198,15 +199,19 @@ class Sl1(LayerStack):
     def export(self, scene: Scene, solid: Solid, path: Path) -> None:
         """Write the archive. Raises InputError if the stack would be too large, or the lens larger than the screen."""
         solid = self._standing(solid)
-        grid = self._grid(solid)
-        screen = self._screen()
-        if grid.shape[2] > screen[0] or grid.shape[1] > screen[1]:
-            wish = f"the lens has {grid.shape[2]} x {grid.shape[1]} pixels, the screen {screen[0]} x {screen[1]}"
-            raise InputError(f"{wish}; make lens.size smaller", keys=("bed",))
+        grid, screen = self._grid(solid), self._screen()
         with ZipFile(path, "w") as archive:
             filled_mm3 = self._write_layers(archive, solid, grid, "lens{:05d}.png", partial(_on_screen, screen=screen))
             archive.writestr(entry("config.ini"), _ini(self._job(grid.shape[0], filled_mm3)))
             archive.writestr(entry("prusaslicer.ini"), _ini(self._settings(screen)))
+
+    def _require_room(self, shape: tuple[int, int, int]) -> None:
+        super()._require_room(shape)
+        _, rows, columns = shape
+        screen = self._screen()
+        if columns > screen[0] or rows > screen[1]:
+            wish = f"the lens has {columns} x {rows} pixels, the screen {screen[0]} x {screen[1]}"
+            raise InputError(f"{wish}; make lens.size smaller", keys=("bed",))
 
     def _screen(self) -> tuple[int, int]:
         """Columns and rows of the screen."""

@@ -14,7 +14,6 @@ import numpy as np
 
 from magiclens.contract.artifacts import Solid
 from magiclens.contract.errors import InputError
-from magiclens.contract.units import LENGTH
 from magiclens.milling.border import Rectangle, top_vertices
 from magiclens.milling.finishing import add_finishing
 from magiclens.milling.operation import SAG_MM, Operation
@@ -24,10 +23,6 @@ from magiclens.milling.roughing import add_roughing
 from magiclens.milling.scallop import scallop_mm
 from magiclens.milling.toolpath import Toolpath
 
-_MOST_TILES = 64
-"""Number of tiles above which a bed counts as too small."""
-_SPARE_MM = 0.1
-"""Tiles are smaller than the machine's bed by this length, since lines end a little outside."""
 _PLATE_MM = 0.01
 """The plate's thickness is a multiple of this length."""
 
@@ -75,7 +70,7 @@ def _along_x(options: MillingOptions, solid: Solid, bed: tuple[float, float] | N
     lowest, highest = float(z.min()), float(z.max())
     # rounding must not make a plate of exactly the lens's height one step thicker
     thickness = options.stock or math.ceil(highest / _PLATE_MM - 1e-9) * _PLATE_MM
-    _check(options, lowest, highest, thickness)
+    options.require_depth(lowest, highest, thickness)
     slope = _slope(solid)
     size = np.ptp(solid.vertices[:, :2], axis=0)
     operations = [Operation(options, name, solid, thickness, slope) for name in options.cutters]
@@ -86,37 +81,12 @@ def _along_x(options: MillingOptions, solid: Solid, bed: tuple[float, float] | N
     return Job(programs, (float(size[0]), float(size[1]), thickness), thickness - lowest, slope)
 
 
-def _check(options: MillingOptions, lowest: float, highest: float, thickness: float) -> None:
-    """Raises InputError if the plate is too thin or a cutter too short."""
-    if thickness < highest - 1e-9:
-        need, has = LENGTH.text(math.ceil(highest * 100) / 100), LENGTH.text(thickness)
-        raise InputError(f"the plate of {has} is thinner than the lens; it needs {need}", keys=("stock",))
-    depth = thickness - lowest
-    for name, (_, cutter) in options.cutters.items():
-        if cutter.reach < depth:
-            need, has = LENGTH.text(math.ceil(depth * 10) / 10), LENGTH.text(cutter.reach)
-            raise InputError(
-                f"the cutter for {name} reaches {has} deep, the lens needs {need}",
-                keys=("rougher" if name == "roughing" else "cutter",),
-            )
-
-
 def _tiles(options: MillingOptions, whole: Rectangle, bed: tuple[float, float] | None) -> list[Rectangle]:
     """Parts of the whole that fit the bed, row by row from the lowest x and y."""
-    sides = whole.x1 - whole.x0, whole.y1 - whole.y0
-    columns, rows = (_share(side, most) for side, most in zip(sides, bed or (math.inf, math.inf), strict=True))
-    if columns * rows > _MOST_TILES:
-        has = " x ".join(LENGTH.text(side) for side in options.bed or ())
-        message = f"a bed of {has} would take more than {_MOST_TILES} tiles; use a larger one"
-        raise InputError(message, keys=("bed",))
+    columns, rows = options.tiles_of((whole.x1 - whole.x0, whole.y1 - whole.y0), bed)
     x = np.linspace(whole.x0, whole.x1, columns + 1).tolist()
     y = np.linspace(whole.y0, whole.y1, rows + 1).tolist()
     return [Rectangle(*across, *up) for up in pairwise(y) for across in pairwise(x)]
-
-
-def _share(side: float, most: float) -> int:
-    """Number of equal parts of a side, mm, that each fit ``most`` mm; more than are allowed if ``most`` is tiny."""
-    return max(math.ceil(side / (most - _SPARE_MM)), 1) if most > _SPARE_MM else _MOST_TILES + 1
 
 
 def _groups(options: MillingOptions, operations: list[Operation]) -> list[list[Operation]]:

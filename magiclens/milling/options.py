@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, PlainSerializer, WithJsonSchema, model_validator
 
+from magiclens.contract.artifacts import Lens
+from magiclens.contract.errors import InputError
 from magiclens.contract.units import LENGTH, Length, Quantity
 from magiclens.milling.cutter import Cutter
 from magiclens.milling.exporter import MillingExporter
@@ -21,6 +24,10 @@ Speed = Annotated[
 """A speed: text such as ``800mm/min`` or ``15mm/s``; a float in mm per minute inside."""
 
 
+_MOST_TILES = 64
+"""Number of tiles above which a bed counts as too small."""
+_SPARE_MM = 0.1
+"""Tiles are smaller than the machine's bed by this length, since lines end a little outside."""
 _Side = Annotated[Length, Field(ge=0.01, le=1e5)]
 
 
@@ -118,3 +125,36 @@ class MillingOptions(MillingExporter):
     def rough_stepdown_mm(self) -> float:
         """Distance between the levels of roughing, mm."""
         return self.rough_stepdown or self.roughing_cutter.diameter / 2
+
+    def require_possible(self, lens: Lens) -> None:
+        """A flat lens must fit plate, cutters and bed; what its top adds is known when it is designed."""
+        self.require_depth(lens.thickness_mm, lens.thickness_mm, self.stock or lens.thickness_mm)
+        self.tiles_of((lens.size_mm, lens.size_mm), self.bed)
+
+    def require_depth(self, lowest_mm: float, highest_mm: float, plate_mm: float) -> None:
+        """Raise InputError if a plate is too thin for a top between two heights, or a cutter too short."""
+        if plate_mm < highest_mm - 1e-9:
+            need, has = LENGTH.text(math.ceil(highest_mm * 100) / 100), LENGTH.text(plate_mm)
+            raise InputError(f"the plate of {has} is thinner than the lens; it needs {need}", keys=("stock",))
+        depth = plate_mm - lowest_mm
+        for name, (_, cutter) in self.cutters.items():
+            if cutter.reach < depth:
+                need, has = LENGTH.text(math.ceil(depth * 10) / 10), LENGTH.text(cutter.reach)
+                raise InputError(
+                    f"the cutter for {name} reaches {has} deep, the lens needs {need}",
+                    keys=("rougher" if name == "roughing" else "cutter",),
+                )
+
+    def tiles_of(self, sides_mm: tuple[float, float], bed_mm: tuple[float, float] | None) -> tuple[int, int]:
+        """Columns and rows of the tiles of a square that fit a bed. Raises InputError if they are too many."""
+        columns, rows = (_share(side, most) for side, most in zip(sides_mm, bed_mm or (math.inf,) * 2, strict=True))
+        if columns * rows > _MOST_TILES:
+            has = " x ".join(LENGTH.text(side) for side in self.bed or ())
+            message = f"a bed of {has} would take more than {_MOST_TILES} tiles; use a larger one"
+            raise InputError(message, keys=("bed",))
+        return columns, rows
+
+
+def _share(side: float, most: float) -> int:
+    """Number of equal parts of a side, mm, that each fit ``most`` mm; more than are allowed if ``most`` is tiny."""
+    return max(math.ceil(side / (most - _SPARE_MM)), 1) if most > _SPARE_MM else _MOST_TILES + 1

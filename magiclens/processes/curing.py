@@ -20,9 +20,9 @@ class Cure(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
 
-    penetration: Length = Field(gt=0, le=10, description="Dp: depth at which 1/e of the light is left")
-    critical: float = Field(gt=0, le=1e4, description="Ec: exposure from which resin is solid, mJ/cm2")
-    exposure: float = Field(gt=0, le=1e6, description="E: exposure of a layer, mJ/cm2")
+    penetration: Length = Field(ge=1e-3, le=10, description="Dp: depth at which 1/e of the light is left")
+    critical: float = Field(ge=0.01, le=1e4, description="Ec: exposure from which resin is solid, mJ/cm2")
+    exposure: float = Field(ge=0.01, le=1e6, description="E: exposure of a layer, mJ/cm2")
 
     @model_validator(mode="after")
     def _cures(self) -> Cure:

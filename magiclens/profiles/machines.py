@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from functools import cache
 from types import MappingProxyType
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
@@ -31,6 +31,12 @@ _STRIPS = 9
 best, for a stereolithography printer, polished or under a coat of 20 micrometres."""
 _SPEED = r"^\d+(\.\d+)? ?mm/(min|s)$"
 """Pattern of the text of a speed."""
+_Side = Annotated[Length, Field(ge=1, le=1e5)]
+"""Of the room that a machine has."""
+_Dots = Annotated[float, Field(ge=1, le=1e5)]
+"""Pixels or drops per inch."""
+_LONGEST_WAVE_MM = 50.0
+"""Longest wave that a coat may level; see ``LinearProcess``."""
 
 
 class Machine(BaseModel, ABC):
@@ -45,13 +51,16 @@ class Machine(BaseModel, ABC):
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
     process: ClassVar[str]
 
-    bed: tuple[Length, Length, Length] = Field(description="largest block: width, depth, height")
+    bed: tuple[_Side, _Side, _Side] = Field(description="largest block: width, depth, height")
     thickness: tuple[Length, Length] = Field(description="thinnest place and highest point of a lens that it makes")
-    max_slope: Angle = Field(gt=0, lt=90, description="steepest facet")
-    wall: Length = Field(gt=0, description="narrowest strip between two facets")
-    feature: Length = Field(gt=0, description="smallest facet that keeps its shape")
+    # the limits of what a lens may have
+    max_slope: Angle = Field(ge=0.1, lt=90, description="steepest facet")
+    wall: Length = Field(ge=1e-5, le=10, description="narrowest strip between two facets")
+    feature: Length = Field(ge=1e-3, le=2000, description="smallest facet that keeps its shape")
     roughness: float = Field(0.0, ge=0, le=1, description="GGX alpha of the surface, finished")
-    price: float | None = Field(None, ge=0, description="EUR per kg of material; the material's estimate if left out")
+    price: float | None = Field(
+        None, ge=0, le=1e6, description="EUR per kg of material; the material's estimate if left out"
+    )
 
     @field_validator("thickness")
     @classmethod
@@ -108,21 +117,28 @@ class Lacquer(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
 
-    film: Length | None = Field(None, gt=0, le=1, description="thickness of the coat while it is liquid")
+    film: Length | None = Field(None, ge=1e-4, le=1, description="thickness of the coat while it is liquid")
     wavelength: Length | None = Field(
         None,
-        gt=0,
-        le=50,
+        ge=1e-3,
+        le=_LONGEST_WAVE_MM,
         description="instead of film: the wavelength of which the coat leaves 1/e, as a coupon measures it",
     )
-    viscosity: float = Field(1.0, gt=0, le=1e4, description="Pa s")
-    tension: float = Field(0.033, gt=0, le=1, description="surface tension, N/m")
-    time: float = Field(10.0, gt=0, le=1e5, description="seconds until it has cured")
+    viscosity: float = Field(1.0, ge=1e-4, le=1e4, description="Pa s")
+    tension: float = Field(0.033, ge=1e-3, le=1, description="surface tension, N/m")
+    time: float = Field(10.0, ge=1e-3, le=1e5, description="seconds until it has cured")
 
     @model_validator(mode="after")
     def _film_or_wavelength(self) -> Lacquer:
         if (self.film is None) == (self.wavelength is None):
             raise ValueError("needs either a film, such as 'film: 5um', or a wavelength, such as 'wavelength: 0.4mm'")
+        return self
+
+    @model_validator(mode="after")
+    def _leaves_a_lens(self) -> Lacquer:
+        if self.wavelength_mm > _LONGEST_WAVE_MM:
+            levels = f"such a coat would level waves of {LENGTH.text(round(self.wavelength_mm, 1))}"
+            raise ValueError(f"{levels}, and nothing would be left of a lens; use a thinner film")
         return self
 
     @property
@@ -147,8 +163,8 @@ class Printer(Machine):
 
     process: ClassVar[str] = "printing"
 
-    dpi: tuple[float, float] = Field(description="drops or pixels per inch along x and y")
-    layer: Length = Field(gt=0, le=1, description="height of a layer")
+    dpi: tuple[_Dots, _Dots] = Field(description="drops or pixels per inch along x and y")
+    layer: Length = Field(ge=1e-4, le=1, description="height of a layer")
     blur: Length = Field(ge=0, le=2, description="how far material spreads sideways: sigma of a Gaussian")
     polish: Length = Field(
         "0mm", validate_default=True, ge=0, le=5,
@@ -161,13 +177,6 @@ class Printer(Machine):
     grey: Grey | None = Field(None, description="pixels that are exposed in steps; black and white only if left out")
     cure: Cure | None = Field(None, description="how deep its light cures the resin")
     tilt: Tilt | None = Field(None, description="how the part stands on the plate; flat on it if left out")
-
-    @field_validator("dpi")
-    @classmethod
-    def _has_pixels(cls, value: tuple[float, float]) -> tuple[float, float]:
-        if min(value) <= 0:
-            raise ValueError("must be two numbers above 0, such as [600, 300]")
-        return value
 
     @property
     def pixels_mm(self) -> tuple[float, float]:
@@ -214,12 +223,6 @@ class Printer(Machine):
         """How far the body's edge is rounded off, and how far the eye looks past the edge of facets that are low."""
         return self.linear_process.reach_mm + lens.relief_mm * lens.size_mm / 2 / distance_mm
 
-    def has_room_for(self, sides_mm: FloatArray) -> bool:
-        """Whether a part fits, turned by a quarter if need be: its width, depth and height as it stands, mm."""
-        bed = np.array(self.bed)
-        flat = np.sort(sides_mm[:2]) <= np.sort(bed[:2])
-        return bool(flat.all() and sides_mm[2] <= bed[2])
-
     def facets_for(self, size_mm: float) -> int:
         """So many that the rounded strips between them take a fifth of the lens, see ``LinearProcess.strip_mm``."""
         pitch = max(_STRIPS * self.linear_process.strip_mm, _SAFELY * self.feature)
@@ -247,15 +250,16 @@ class Mill(Machine):
 
     draft: Angle = Field(ge=0, lt=90, description="least angle between a wall and the tool's axis")
     cutter: Literal["ball", "flat", "v"] = Field(description="form of the finishing cutter's end")
-    diameter: Length = Field(gt=0, description="of the cutter's widest part")
-    tip: Length = Field("0.2mm", validate_default=True, ge=0, description="diameter of a v cutter's tip")
-    angle: Angle = Field("30deg", validate_default=True, gt=0, lt=180, description="between a v cutter's flanks")
-    reach: Length = Field(gt=0, description="how deep it gets into a narrow hole before its holder touches")
+    # the limits of ``Cutter`` and of programs
+    diameter: Length = Field(ge=0.001, le=50, description="of the cutter's widest part")
+    tip: Length = Field("0.2mm", validate_default=True, ge=0, le=50, description="diameter of a v cutter's tip")
+    angle: Angle = Field("30deg", validate_default=True, ge=5, le=170, description="between a v cutter's flanks")
+    reach: Length = Field(ge=0.01, le=1000, description="how deep it gets into a narrow hole before its holder touches")
     stepover: Length = Field(
-        "0.02mm", validate_default=True, gt=0, le=5,
+        "0.02mm", validate_default=True, ge=0.001, le=5,
         description="between the lines of finishing; polishing their ridges away evens out over half of it",
     )  # fmt: skip
-    spindle: int = Field(12000, ge=1, description="turns per minute")
+    spindle: int = Field(12000, ge=1, le=1_000_000, description="turns per minute")
     feed: str = Field("1200mm/min", pattern=_SPEED, description="while cutting")
     plunge: str = Field("300mm/min", pattern=_SPEED, description="straight down")
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from magiclens.cache.folder import size_in_bytes, size_text
 from magiclens.config.document import dotted
 from magiclens.contract.errors import InputError
-from magiclens.plan.blame import blaming, place_of
+from magiclens.plan.blame import blaming, locating, place_of
 from magiclens.plan.compile import Plan
 from magiclens.running.estimate import Estimate, Need, estimate
 
@@ -29,8 +29,8 @@ def require_feasible(plan: Plan) -> Estimate:
     """What a run needs, if this machine can do it.
 
     Raises:
-        InputError: It cannot: a stage lacks something, or there is too little memory or time. The message has the line
-            of the key to change.
+        InputError: It cannot: a stage lacks something, a file cannot be, or there is too little memory or time. The
+            message has the line of the key to change.
     """
     for step in plan.steps:
         ask = getattr(step.stage, "lacks", None)  # a stage need not inherit from our base
@@ -39,6 +39,11 @@ def require_feasible(plan: Plan) -> Estimate:
         if lack:
             at = plan.place(step)
             raise InputError(f"{dotted(at)}: {lack}", plan.document.where(at))
+    for exporter in plan.exporters:
+        require = getattr(exporter.stage, "require_possible", None)
+        with locating(plan.document, plan.place(exporter)), blaming(f"{exporter}: require_possible"):
+            if require:
+                require(plan.lens)
     needs, room = estimate(plan), memory_bytes()
     if room is not None and needs.bytes > room:
         there = f"of {size_text(needs.bytes)} of memory, this machine has {size_text(room)}"

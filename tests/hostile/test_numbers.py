@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from magiclens.cache.store import Cache
 from magiclens.config.document import document_of
 from magiclens.contract.errors import InputError
 from magiclens.images.files import write_png
 from magiclens.plan.compile import Plan, compile_plan
 from magiclens.plan.registry import Registry
 from magiclens.running.feasible import require_feasible
+from magiclens.running.open_run import open_run
 from magiclens.running.pipeline import run_plan
 from numeric import BAD, PICTURE, NumericOption, all_numeric_options
 
@@ -61,18 +64,37 @@ def test_check_refuses_a_bad_number_at_its_key_or_lets_it_run() -> None:
     assert allowed < len(OPTIONS) * len(BAD) / 8  # zero and almost nothing may mean something, the others rarely
 
 
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Cache:
+    """What these runs have in common, such as the lens where a number is an exporter's."""
+    return Cache(tmp_path_factory.mktemp("kept"), 10**9)
+
+
+@pytest.fixture
+def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tolerances are measured on coarse pictures: nobody looks at them."""
+    monkeypatch.setattr("magiclens.analysis.tolerances.RESOLUTION", 32)
+    monkeypatch.setattr("magiclens.analysis.tolerances.MAP_RESOLUTION", 16)
+
+
 @pytest.mark.sweep
-@pytest.mark.usefixtures("beside_a_picture")
+@pytest.mark.usefixtures("beside_a_picture", "coarse")
 @pytest.mark.parametrize(
     ("data", "option", "value"),
     [pytest.param(data, o, v, id=f"{data['scenario']['type']}-{o.override(v)}") for data, o in OPTIONS for v in BAD],
 )
-def test_what_passes_check_can_be_run(data: dict[str, Any], option: NumericOption, value: str, tmp_path: Path) -> None:
+def test_what_passes_check_can_be_run(
+    data: dict[str, Any], option: NumericOption, value: str, kept: Cache, tmp_path: Path
+) -> None:
     try:
         plan = planned(data, option, value)
     except InputError:
         return  # the test above looks at what it says
-    run_plan(plan, tmp_path / "out")
+    manifest = run_plan(plan, tmp_path / "out", cache=kept).manifest
+    assert open_run(tmp_path / "out").manifest == manifest
+    numbers = [*manifest["metrics"].values(), *(view["psnr_db"] for view in manifest["views"])]
+    # a renderer that is left out, or an analysis that finds nothing, has no number
+    assert all(math.isfinite(number) for number in numbers if number is not None)
 
 
 def names(error: InputError, option: NumericOption) -> bool:

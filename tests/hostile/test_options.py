@@ -9,6 +9,7 @@ import pytest
 from magiclens.contract.errors import InputError
 from magiclens.plan.compile import load_plan
 from magiclens.plan.registry import Registry
+from magiclens.running.feasible import require_feasible
 
 SPEC = Path(__file__).parents[2] / "specs" / "single.yaml"
 BAD = [
@@ -36,6 +37,32 @@ def test_a_value_that_no_lens_can_have_is_refused_at_its_key(override: str, inst
     with pytest.raises(InputError) as raised:
         load_plan(SPEC, [override], installed)
     assert str(raised.value).startswith(f"--set {override}: {key}")
+    assert "\n" not in str(raised.value)
+
+
+FILES = {
+    "{type: sl1, layer: 0.1um}": "layer: there would be",
+    "{type: slices, layer: 1um, tilt: {angle: 70deg}}": "layer: there would be",
+    "{type: slices, dpi_x: 10000, dpi_y: 10000}": "dpi_x: a layer would have",
+    "{type: sl1, bed: [20mm, 20mm, 20mm]}": "bed: the lens has",
+    "{type: heightmap, pixel: 0.1um}": "pixel: '0.0001mm' gives",
+    "{type: heightmap, pixel: 1m}": "pixel: '1000mm' gives",
+    "{type: monitor, ppi: 2000}": "ppi: 400 mm at 2000 ppi",
+    "{type: sheet, paper: a4}": "paper: the sheet needs",
+    "{type: gcode, stock: 0.1mm}": "stock: the plate of 0.1mm is thinner",
+    "{type: gcode, stock: 1m}": "rougher: the cutter for roughing reaches",
+    "{type: rml, bed: [1mm, 1mm]}": "bed: a bed of 1mm x 1mm",
+}
+"""Files that cannot be, and what is said of them."""
+
+
+@pytest.mark.parametrize("exporter", FILES)
+def test_a_file_that_cannot_be_is_refused_before_the_run(exporter: str, installed: Registry) -> None:
+    settings = ["lens.size=400mm", "lens.thickness=40mm", f"pipeline.exporters=[{exporter}]"]
+    plan = load_plan(SPEC, settings, installed)
+    with pytest.raises(InputError) as raised:
+        require_feasible(plan)
+    assert str(raised.value).startswith(f"--set {settings[-1]}: pipeline.exporters.0.{FILES[exporter]}")
     assert "\n" not in str(raised.value)
 
 
