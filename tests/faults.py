@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import resource
 import signal
 import sys
@@ -24,6 +25,7 @@ from magiclens.running.observers import Observer
 
 _CHANGES = ("os.rename", "os.mkdir", "os.rmdir", "os.remove", "os.truncate", "tempfile.mkdtemp")
 _CHANGE = "<change>\n"
+_PART = re.compile(r"<part (.*)>\n")
 _WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 
 
@@ -35,11 +37,13 @@ class Ended:
         code: Its exit code; minus the signal that has killed it.
         errors: What it has written to standard error.
         changes: How many changes there were; beginnings and ends of parts count as well.
+        parts: Names of the parts of a run that have begun.
     """
 
     code: int
     errors: str
     changes: int
+    parts: tuple[str, ...]
 
 
 def no_space() -> None:
@@ -90,7 +94,7 @@ def command(
     with open(notes, encoding="utf-8") as stream:
         text = stream.read()
     code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-    return Ended(code, text.replace(_CHANGE, ""), text.count(_CHANGE))
+    return Ended(code, _PART.sub("", text.replace(_CHANGE, "")), text.count(_CHANGE), (*_PART.findall(text),))
 
 
 def _become(standard_error: int, largest_bytes: int | None) -> None:
@@ -120,6 +124,10 @@ def _count_changes(root: Path, at: int | None, fault: Callable[[], None], swaps:
         if writes and str(root) in str(arguments[0]):
             change()
 
+    def started(_: Observer, name: str, facets: int) -> None:
+        os.write(2, f"<part {name}>\n".encode())
+        change()
+
     def then(work: Callable[..., Any], *arguments: Any) -> Any:
         change()
         return work(*arguments)
@@ -132,5 +140,5 @@ def _count_changes(root: Path, at: int | None, fault: Callable[[], None], swaps:
     sys.addaudithook(announced)
     really_exchange, replacing._exchange = replacing._exchange, exchange
     os.fsync = partial(then, os.fsync)
-    Observer.started = lambda *_: change()  # type: ignore[method-assign]
+    Observer.started = started  # type: ignore[method-assign]
     Observer.finished = lambda *_: change()  # type: ignore[method-assign]

@@ -508,6 +508,15 @@ def test_a_quarter_turn_moves_plus_x_to_plus_y() -> None:
         np.testing.assert_array_equal(stacked, [dot, turned_dot])
 
 
+def test_pictures_of_different_sizes_are_stacked_as_fine_as_the_finest() -> None:
+    fine, coarse = np.random.default_rng(0).random((32, 32)), np.full((8, 8), 0.5)
+    views = grey_view(fine, coarse), grey_view(coarse, fine)
+    for order in (views, views[::-1]):
+        channels = stack_channels(Scene(small_lens(2), order))
+        for stacked in (channels.source, channels.target):
+            assert sorted(float(np.ptp(plane)) for plane in stacked) == [0.0, pytest.approx(np.ptp(fine))]
+
+
 def test_colours_and_views_are_channels_in_this_order() -> None:
     picture = ramps(16)
     views = tuple(View("v", picture, picture * g, np.array(ABOVE)) for g in (1.0, 0.5))

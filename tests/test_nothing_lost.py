@@ -14,6 +14,7 @@ import pytest
 import magiclens.running.compilation  # noqa: F401
 from faults import Ended, command, signalled
 from magiclens.contract.artifacts import Scene, Solid
+from magiclens.contract.stages import KINDS
 from magiclens.plan.compile import load_plan
 from magiclens.running.pipeline import run_plan
 from magiclens.running.replacing import clear_leftovers
@@ -88,10 +89,11 @@ class Place:
         # the last change of a run removes the hidden folder, which the next run does if this one could not
         assert found == self.new or self.strays() == set()
 
-    def check_next_run(self) -> None:
+    def check_next_run(self) -> Ended:
         """What must hold after the run that follows."""
         ended = self.run()
         assert (ended.code, self.found() == self.new, self.strays()) == (0, True, set()), ended
+        return ended
 
 
 @pytest.fixture(scope="module")
@@ -145,13 +147,13 @@ def test_every_change_that_fails_loses_nothing(older: bool, place: Place, swaps:
     failing(place, some(place.changes(older, swaps), 1), older, swaps)
 
 
-def ended_by(place: Place, number: signal.Signals, at: int, older: bool, swaps: bool) -> None:
-    """Let a signal come at a change, and then run again."""
+def ended_by(place: Place, number: signal.Signals, at: int, older: bool, swaps: bool) -> tuple[Ended, Ended]:
+    """Let a signal come at a change, and then run again: both runs."""
     place.begin(older)
     ended = place.run(at=at, fault=signalled(number), swaps=swaps)
     assert ended.code == CODES[number], ended
     place.check(older, ended)
-    place.check_next_run()
+    return ended, place.check_next_run()
 
 
 @pytest.mark.parametrize("number", CODES, ids=lambda number: number.name)
@@ -166,7 +168,10 @@ def test_a_signal_at_any_change_loses_nothing(number: signal.Signals, place: Pla
 def test_signals_at_every_change_lose_nothing(
     number: signal.Signals, older: bool, place: Place, swaps: bool
 ) -> None:
-    for at in some(place.changes(older, swaps), 1 if number == signal.SIGKILL else 5):
+    kills = number == signal.SIGKILL
+    places = some(place.changes(older, swaps), 1 if kills else 5)
+    assert len(places) >= (50 if kills else 13)  # so 200 and 52 of all these tests
+    for at in places:
         ended_by(place, number, at, older, swaps)
 
 
@@ -178,7 +183,9 @@ def test_a_run_that_is_killed_while_it_keeps_results_spoils_none(
     monkeypatch.setenv("MLENS_CACHE_DIR", str(place.root / "cache"))
     for at in some(place.changes(True, True), step, 0):
         shutil.rmtree(place.root / "cache")
-        ended_by(place, signal.SIGKILL, at, True, True)
+        killed, again = ended_by(place, signal.SIGKILL, at, True, True)
+        stages = [name for name in killed.parts if name.split()[0] in KINDS]
+        assert [name for name in again.parts if name in stages] in ([], stages[-1:])  # that in which it was killed
 
 
 @pytest.mark.parametrize("largest_bytes", [0, 300, 3_000, 9_000])

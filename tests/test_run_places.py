@@ -11,7 +11,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
+from magiclens.cli import app
 from magiclens.contract.errors import InputError
 from magiclens.plan.compile import load_plan
 from magiclens.plan.registry import Registry
@@ -155,15 +157,19 @@ def listing(folder: Path) -> dict[str, object]:
 
 @pytest.mark.parametrize("kind", NOT_OURS)
 def test_what_is_not_ours_stays_and_stops_the_run_before_it_starts(
-    kind: Callable[[Path], None], run: Callable[[Path], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    kind: Callable[[Path], None], write_spec: SpecWriter, registry: Registry, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
     out = tmp_path / "runs" / "out"
     out.parent.mkdir()
     kind(out)
     before = listing(tmp_path / "runs") if (tmp_path / "runs").is_dir() else {}
     monkeypatch.setattr("magiclens.running.pipeline.Steps", None)  # nothing of the run is begun
-    with pytest.raises(InputError, match="--out"):
-        run(out)
+    monkeypatch.setattr(Registry, "load", lambda *_: registry)
+    done = CliRunner().invoke(app, ["run", str(write_spec()), "--out", str(out), "--force"])
+    assert done.exit_code == 2
+    assert done.stderr.startswith("error: --out")
+    assert done.stderr.count("\n") == 1
     assert (listing(tmp_path / "runs") if (tmp_path / "runs").is_dir() else {}) == before
 
 
