@@ -23,6 +23,7 @@ BAD = [
     "viewer.y=-1e308mm", "scenario.source.radius=[0.0001mm, 0.0002mm]", "scenario.source.radius=[2mm, 1mm]",
     "scenario.source.size=1um", "scenario.source.size=1e9mm", "scenario.source.layers=0", "scenario.source.seed=-1",
     f"name={'x' * 300}", "name=CON", "name=nul", "name=com1.old", "name=a.", "name='a '", "seed=-1", "seed=1e300",
+    "fabrication={machine: sla, lacquer: {film: 1mm, viscosity: 0.001, time: 1e5}}",
 ]  # fmt: skip
 
 
