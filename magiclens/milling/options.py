@@ -28,6 +28,10 @@ _MOST_TILES = 64
 """Number of tiles above which a bed counts as too small."""
 _SPARE_MM = 0.1
 """Tiles are smaller than the machine's bed by this length, since lines end a little outside."""
+_MOST_LINES = 10**5
+"""Most lines of an operation: they are a hundredth of a millimetre apart on a lens of a metre."""
+_SHARPEST_MM = 0.01
+"""Tips that are narrower count as points."""
 _Side = Annotated[Length, Field(ge=0.01, le=1e5)]
 
 
@@ -119,7 +123,9 @@ class MillingOptions(MillingExporter):
     def rough_stepover_mm(self) -> float:
         """Distance between the lines of roughing, mm."""
         cutter = self.roughing_cutter
-        return self.rough_stepover or (cutter.tip_mm if cutter.shape == "v" else 0) or 0.4 * cutter.diameter
+        # lines as far apart as a tip that is a point are too many
+        flat = cutter.tip_mm if cutter.tip_mm >= _SHARPEST_MM else 0.0
+        return self.rough_stepover or flat or 0.4 * cutter.diameter
 
     @property
     def rough_stepdown_mm(self) -> float:
@@ -130,6 +136,10 @@ class MillingOptions(MillingExporter):
         """A flat lens must fit plate, cutters and bed; what its top adds is known when it is designed."""
         self.require_depth(lens.thickness_mm, lens.thickness_mm, self.stock or lens.thickness_mm)
         self.tiles_of((lens.size_mm, lens.size_mm), self.bed)
+        for key, over in (("stepover", self.stepover), ("rough_stepover", self.rough_stepover_mm)):
+            if (lines := int(lens.size_mm / over)) > _MOST_LINES:
+                wish = f"there would be {lines:,} lines, more than {_MOST_LINES:,}"
+                raise InputError(f"{wish}; make it wider", keys=(key,))
 
     def require_depth(self, lowest_mm: float, highest_mm: float, plate_mm: float) -> None:
         """Raise InputError if a plate is too thin for a top between two heights, or a cutter too short."""

@@ -90,8 +90,8 @@ def test_what_passes_check_can_be_run(
         plan = planned(data, option, value)
     except InputError:
         return  # the test above looks at what it says
-    manifest = run_plan(plan, tmp_path / "out", cache=kept).manifest
-    assert open_run(tmp_path / "out").manifest == manifest
+    run_plan(plan, tmp_path / "out", cache=kept)
+    manifest = open_run(tmp_path / "out").files.manifest
     numbers = [*manifest["metrics"].values(), *(view["psnr_db"] for view in manifest["views"])]
     # a renderer that is left out, or an analysis that finds nothing, has no number
     assert all(math.isfinite(number) for number in numbers if number is not None)

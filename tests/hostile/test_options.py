@@ -52,6 +52,8 @@ FILES = {
     "{type: sheet, paper: a4}": "paper: the sheet needs",
     "{type: gcode, stock: 0.1mm}": "stock: the plate of 0.1mm is thinner",
     "{type: gcode, stock: 1m}": "rougher: the cutter for roughing reaches",
+    "{type: gcode, stepover: 1um}": "stepover: there would be 400,000 lines",
+    "{type: rml, rough_stepover: 2um}": "rough_stepover: there would be 200,000 lines",
     "{type: rml, bed: [1mm, 1mm]}": "bed: a bed of 1mm x 1mm",
 }
 """Files that cannot be, and what is said of them."""
