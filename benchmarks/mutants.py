@@ -76,7 +76,7 @@ FOLDERS = {
     "exporting": Folder(
         0.86,
         ["test_mesh_files.py", "test_exchange_files.py", "test_sheet.py", "test_slices.py", "test_jig.py",
-         "test_columns.py"],
+         "test_columns.py", "hostile/test_options.py"],
     ),
     "config": Folder(
         0.92,
