@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 from collections.abc import Iterator
@@ -35,6 +36,7 @@ os.environ["MLENS_CACHE_SIZE"] = "0"
 def pytest_configure() -> None:
     # a shell's background jobs ignore Ctrl-C, and so would all that tests start
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    gc.set_threshold(100_000)  # as the command line does
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:

@@ -62,7 +62,9 @@ def designed(scenario: str, facets: int, seed: int, folder: Path, *overrides: st
     return found
 
 
-@pytest.mark.parametrize(("scenario", "facets"), [("single", 8), ("multi-view", 4)])
+@pytest.mark.parametrize(
+    ("scenario", "facets"), [("single", 8), pytest.param("multi-view", 4, marks=pytest.mark.tools)]
+)
 def test_few_facets_are_built_within_the_usual_relief(scenario: str, facets: int, tmp_path: Path) -> None:
     metrics = designed(scenario, facets, 0, tmp_path)
     assert metrics["z_max_mm"] - metrics["z_min_mm"] > 3

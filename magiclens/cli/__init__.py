@@ -6,6 +6,7 @@ each command imports what it needs when it runs.
 
 from __future__ import annotations
 
+import gc
 import os
 from collections.abc import Callable
 from typing import Annotated
@@ -24,6 +25,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 """The command line as typer has it."""
+
+_GARBAGE = 100_000
+"""New objects after which Python looks for garbage: compilers make many, and nearly all stay."""
 
 COMMANDS: dict[str, Callable[..., None]] = {
     "run": run.run_command,
@@ -74,4 +78,9 @@ def _options_of_all_commands(
 
 def main() -> None:
     """Run the command line; the entry point of the console script ``mlens``."""
-    app()
+    gc.set_threshold(_GARBAGE)
+    try:
+        app()
+    finally:
+        # the process ends, and with it its memory: otherwise Python would look through all objects first, for a second
+        gc.freeze()

@@ -218,6 +218,14 @@ def _refine(plan: Plan, scene: Scene) -> None:
         plan.integrator.stage.refine(scene, _flat(scene))
 
 
+def _export(plan: Plan, scene: Scene) -> None:
+    with TemporaryDirectory() as folder:
+        for exporter in plan.exporters:
+            if type(exporter.stage).__module__.startswith("magiclens."):  # others may do more than write files
+                with suppress(Exception):
+                    exporter.stage.export(scene, _solid(scene), Path(folder, f"lens{exporter.stage.suffix}"))
+
+
 def _render(plan: Plan, scene: Scene) -> None:
     for renderer in plan.renderers:
         if renderer.stage.type == REFERENCE_RENDERER:
@@ -248,15 +256,16 @@ def _inspect(plan: Plan, scene: Scene) -> None:
     from magiclens.preflight.triangles import trace_triangles_for_views
 
     solid = _solid(scene)
-    trace_triangles_for_views(solid.vertices[solid.faces], scene.lens, scene.views)
+    trace_triangles_for_views(solid.vertices.astype(np.float32)[solid.faces], scene.lens, scene.views)
 
 
 _PARTS: dict[str, Callable[[Plan, Scene], None]] = {
-    "match": _match, "refine": _refine, "render": _render, "analyse": _analyse, "inspect": _inspect,
+    "match": _match, "refine": _refine, "export": _export, "render": _render, "analyse": _analyse,
+    "inspect": _inspect,
 }  # fmt: skip
 _EARLY = ("match",)
 """What a run compiles itself, since it needs it first."""
-_LATE = ("refine", "render", "inspect", "analyse")
+_LATE = ("refine", "export", "render", "inspect", "analyse")
 """What the child compiles, in the order in which a run needs it, the longest first."""
 
 

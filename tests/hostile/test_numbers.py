@@ -46,6 +46,7 @@ def test_numbers_are_found_everywhere() -> None:
     assert len(OPTIONS) > 150
 
 
+@pytest.mark.tools
 @pytest.mark.usefixtures("beside_a_picture")
 def test_check_refuses_a_bad_number_at_its_key_or_lets_it_run() -> None:
     wrong, allowed = [], 0
