@@ -60,12 +60,19 @@ def test_sheet_and_lens_fit_and_are_held(source: float) -> None:
     assert ("inset" in [part.name for part in parts]) == (source == 80.0)
 
 
-@pytest.mark.parametrize("eyes", [[EYE], [(0.0, 107.0, 408.0), (0.0, -107.0, 408.0)]], ids=["above", "two"])
+ABOVE_BELOW = [(0.0, 107.0, 408.0), (0.0, -107.0, 408.0)]
+RIGHT_TOO = [*ABOVE_BELOW, (107.0, 0.0, 408.0)]
+
+
+@pytest.mark.parametrize(
+    "eyes", [[EYE], ABOVE_BELOW[:1], ABOVE_BELOW, RIGHT_TOO], ids=["centre", "above", "two", "three"]
+)
 def test_every_eye_looks_through_a_peephole_and_nothing_is_in_its_way(eyes: list[tuple[float, float, float]]) -> None:
     parts = jig_parts(scene_of(LENS, *eyes), slab(), SHAPE)
     standing = [part.body for part in parts if not part.name.startswith("arm")]
+    assert len(standing[0].decompose()) == 1, "the column's block is joined to the tray, on whichever side"
     for x, y, z in eyes:
-        arm = "arm" if len(eyes) == 1 else f"arm-{sorted(eyes).index((x, y, z)) + 1}"
+        arm = "arm" if len(eyes) == 1 else f"arm-{sorted(eyes, key=lambda eye: eye[1]).index((x, y, z)) + 1}"
         whole = Manifold.batch_boolean([*standing, *(part.body for part in parts if part.name == arm)], OpType.Add)
         assert (sight(LENS, (x, y, z)) ^ whole).volume() < 1e-6
         hole = Manifold.cylinder(4.0, 1.4).translate([x, y, z])
@@ -106,6 +113,29 @@ def test_an_arrow_in_the_wall_points_up_the_sheet() -> None:
     upper = arrow.area() - (arrow ^ CrossSection.square([40, low + high], True)).area()
     assert upper < arrow.area() / 3, "its tip is up"
     assert area_at(tray, 7.99) == pytest.approx(area_at(tray, 7.5)), "it is open to the top"
+
+
+def test_the_arrow_is_in_the_middle_of_a_tray_for_an_eye_aside() -> None:
+    eye = (200.0, 0.0, 408.0)  # the slab's bottom reaches further left than right
+    lens = replace(LENS, source_size_mm=50.0)
+    tray = jig_parts(scene_of(lens, eye), slab(lens, eye), replace(SHAPE, stand=False))[0].body
+    left, _, right, _ = (tray.slice(6.5) - tray.slice(7.5)).bounds()
+    box = tray.bounding_box()
+    assert box[0] + box[3] < -3
+    assert (left + right) / 2 == pytest.approx((box[0] + box[3]) / 2, abs=1e-3)
+
+
+@pytest.mark.parametrize("eye", [(0.0, 200.0, 408.0), (200.0, 0.0, 408.0)], ids=["above", "aside"])
+def test_a_lens_in_the_air_needs_a_ledge_on_two_opposite_sides_only(eye: tuple[float, float, float]) -> None:
+    lens = replace(LENS, source_size_mm=52.0, gap_mm=5.0)
+    vertices = slab(lens, eye).vertices
+    bottom = vertices[vertices[:, 2] == 0, :2]
+    reach = np.array([-bottom.min(axis=0), bottom.max(axis=0)]) - 26.2  # what is left beside the pocket
+    assert sorted(reach.min(axis=0) > 1.0) == [False, True]
+    jig_parts(scene_of(lens, eye), slab(lens, eye), replace(SHAPE, stand=False))
+    with pytest.raises(InputError, match="nothing would hold the lens 5 mm above"):
+        wide = replace(lens, source_size_mm=64.0)
+        jig_parts(scene_of(wide, eye), slab(wide, eye), replace(SHAPE, stand=False))
 
 
 def test_parts_stand_on_their_flat_ends_and_the_sheet_lies_on_a_floor() -> None:

@@ -192,10 +192,9 @@ def _inset(seat: _Box, sheet: _Box, shape: JigShape, slots: Sequence[Manifold]) 
     if max(beyond) <= 0:
         return
     if min(beyond) < _THINNEST:
-        needs = f"the source is {min(beyond):.3g} mm wider than the lens's bottom on one side"
-        raise InputError(
-            f"{needs}, too little for a frame between them; make it {_THINNEST:g} mm or none", "exporter jig"
-        )
+        reach = f"the source reaches {min(beyond):.3g} to {max(beyond):.3g} mm beyond the sides of the lens's bottom"
+        remedy = f"too little for a frame between them; make it {_THINNEST:g} mm or more on all sides, or none"
+        raise InputError(f"{reach}, {remedy}", "exporter jig")
     yield JigPart("inset", _without(sheet.body(0.0, _HIGH) - window.body(-1.0, _FAR), slots))
 
 
