@@ -17,7 +17,7 @@ ARGUMENTS = [
     "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
     "--disable-background-networking",
 ]  # fmt: skip
-expect.set_options(timeout=30_000)  # ms: other tests may keep the cores busy
+expect.set_options(timeout=90_000)  # ms: other tests may keep the cores busy
 
 
 @contextmanager

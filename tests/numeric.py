@@ -132,7 +132,9 @@ def parts(registry: Registry) -> Iterator[Part]:
         yield Part(data, at, registry.classes(STAGE, kind)[type_].model_json_schema())
     for name, choice in MACHINES.items():
         schema = machines()[name].model.model_json_schema()
-        yield Part(spec_of("single"), "fabrication", schema, (f"fabrication={choice}",))
+        # an exporter without options: those that machines have by default take theirs from the machine
+        beside = (f"fabrication={choice}", "pipeline.exporters=[{type: stl}]")
+        yield Part(spec_of("single"), "fabrication", schema, beside)
     yield Part(spec_of("single"), "", Spec.model_json_schema())
 
 

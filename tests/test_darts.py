@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from typing import Any
 
@@ -12,11 +13,12 @@ from hypothesis import strategies as st
 
 from magiclens.contract.artifacts import BoolArray, Candidates, IntArray, Lens, Scene, View
 from magiclens.contract.errors import InputError
-from magiclens.matching.dart_throwing import DartThrowing, throw_darts
+from magiclens.matching.dart_throwing import DartThrowing, Reach, SubRegions, throw_darts
 from magiclens.matching.dart_throwing_kernels import Labels, draw_again
 from magiclens.matching.grain import flat_scale, seen_grain
 from magiclens.optics.eyes import land
 from magiclens.optics.medium import slab_of
+from test_matching import flat_enough
 
 LENS = Lens(size_mm=40, source_size_mm=40, facets=6, microfacets=24, thickness_mm=40)
 PAPER = np.ones((120, 120, 1), np.float32)
@@ -47,6 +49,22 @@ def test_no_two_facets_look_at_the_same_place(seed: int, options: dict[str, obje
     assert (apart.any(axis=-1) | np.eye(len(low), dtype=bool)).all()
     assert low.min() >= -20
     assert high.max() <= 20
+
+
+def test_what_is_within_reach_is_asked_of_each_facet_where_it_is() -> None:
+    """By one ray through the centre and each corner of a facet, for an eye far aside."""
+    lens = replace(LENS, facets=4, max_slope_deg=45.0, relief_mm=15.0)
+    eye = np.array([30.0, -50.0, 440.0])
+    seen = Scene(lens, (View("v", PAPER, PAPER, eye),))
+    options = DartThrowing(reach="35%")
+    reach = Reach.of(options, seen, SubRegions.of(lens, options.subdivisions))
+    inside = reach.regions < reach.regions.max()
+    for f, centre in enumerate(lens.facet_centres_mm().reshape(-1, 2)):
+        for k, s in itertools.product(range(len(reach.offsets)), range(4)):
+            (xx, yy), offset = reach.maps[s], reach.offsets[k] * (1, -1)
+            flat = flat_enough(lens, tuple(eye), centre, offset, xx, yy)
+            assert reach.usable[f, k, s] == (flat and inside[f, k])
+    assert 0.05 < reach.usable.mean() < 0.9
 
 
 def test_every_mirror_sign_of_a_place_is_offered() -> None:

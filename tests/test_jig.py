@@ -133,8 +133,8 @@ def test_a_lens_in_the_air_needs_a_ledge_on_two_opposite_sides_only(eye: tuple[f
     reach = np.array([-bottom.min(axis=0), bottom.max(axis=0)]) - 26.2  # what is left beside the pocket
     assert sorted(reach.min(axis=0) > 1.0) == [False, True]
     jig_parts(scene_of(lens, eye), slab(lens, eye), replace(SHAPE, stand=False))
+    wide = replace(lens, source_size_mm=64.0)
     with pytest.raises(InputError, match="nothing would hold the lens 5 mm above"):
-        wide = replace(lens, source_size_mm=64.0)
         jig_parts(scene_of(wide, eye), slab(wide, eye), replace(SHAPE, stand=False))
 
 

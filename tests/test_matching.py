@@ -293,6 +293,25 @@ def test_rough_candidates_of_any_origin_are_polished_to_the_patch_they_are_near(
         polished(scene, choices(far[:, :, None], maps[:, :, :1], np.zeros((3, 3, 1))), Exhaustive(window="6mm"))
 
 
+@pytest.mark.parametrize("eye", [ABOVE, ASIDE], ids=["eye above", "eye aside"])
+def test_what_is_within_reach_is_asked_of_each_facet_where_it_is(eye: Eye) -> None:
+    lens = small_lens(6, 3.0, source=90.0, max_slope_deg=35.0)
+    rng = np.random.default_rng(0)
+    offsets = rng.uniform(-10, 10, (6, 6, 24, 2))
+    maps = np.broadcast_to([0.5, 0.0, 0.5], (6, 6, 24, 3))
+    scene = Scene(lens, (grey_view(blotches(90, 4.0), letter_f(64), eye),))
+    options = Exhaustive(window="100%", candidates=24, polish=0, acceptance=10.0)
+    found = polished(scene, choices(offsets, maps, np.zeros((6, 6, 24))), options)
+    left = np.isfinite(found.errors)
+    shares = []
+    for (i, j), centre in zip(np.ndindex(6, 6), lens.facet_centres_mm().reshape(-1, 2), strict=True):
+        expected = [k for k, o in enumerate(offsets[i, j]) if flat_enough(lens, eye, centre, o, 0.5, 0.5)]
+        shares.append(len(expected) / 24)
+        kept = sorted(found.offsets_mm[i, j][left[i, j]].tolist())
+        np.testing.assert_allclose(kept, sorted(offsets[i, j][expected].tolist()), atol=1e-5)
+    assert 0.2 < np.mean(shares) < 0.9
+
+
 def test_without_polishing_patches_lie_on_the_lattice_of_offsets() -> None:
     scene, cut = cut_out(MAPS)
     found = matched(Exhaustive(window="6mm", scales=(0.4, 0.6, 0.85), candidates=16, polish=0), scene)

@@ -10,7 +10,6 @@ from types import ModuleType
 
 import pytest
 
-pytestmark = pytest.mark.tools
 ROOT = Path(__file__).parent.parent
 SOURCE = """
 def doubled(x, most=10):
@@ -47,6 +46,7 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return import_module("mutated")  # of this test's own folder
 
 
+@pytest.mark.tools
 def test_every_operator_number_and_call_has_a_mutant_but_for_messages(tool: ModuleType) -> None:
     found = [str(mutant) for mutant in tool.mutants_of(Path("mutated.py"), SOURCE)]
     assert found == [
@@ -61,6 +61,7 @@ def test_every_operator_number_and_call_has_a_mutant_but_for_messages(tool: Modu
     ]
 
 
+@pytest.mark.tools
 def test_a_mutant_is_put_into_functions_that_are_imported_already(tool: ModuleType, module: ModuleType) -> None:
     mutants = {m.text: m for m in tool.mutants_of(Path("mutated.py"), SOURCE)}
     doubled, counter = module.doubled, module.Counter()
@@ -76,6 +77,7 @@ def test_a_mutant_is_put_into_functions_that_are_imported_already(tool: ModuleTy
         assert tool.in_child(lambda m=mutants[text], w=work: (m.put_in_place(), w())[1], 10) == after
 
 
+@pytest.mark.tools
 def test_what_does_not_end_or_crashes_gives_nothing(tool: ModuleType) -> None:
     def endless() -> None:
         while True:
@@ -86,18 +88,21 @@ def test_what_does_not_end_or_crashes_gives_nothing(tool: ModuleType) -> None:
     assert tool.in_child(lambda: list(range(3)), 1) == [0, 1, 2]
 
 
+@pytest.mark.tools
 def test_a_mutant_keeps_its_name_where_code_above_it_changes(tool: ModuleType) -> None:
     names = [m.name for m in tool.mutants_of(Path("a.py"), SOURCE)]
     assert names == [m.name for m in tool.mutants_of(Path("a.py"), "one = 1\n\n" + SOURCE)]
     assert len(set(names)) == len(names)
 
 
+@pytest.mark.tools
 def test_a_mutant_is_reached_by_any_line_of_its_statement(tool: ModuleType) -> None:
     (above, *_) = tool.mutants_of(Path("a.py"), "def f(x):\n    return [\n        x + 1,\n        x,\n    ]\n")
     assert above.reached({"a.py": [4]})
     assert not above.reached({"a.py": [1, 6], "b.py": [3]})
 
 
+@pytest.mark.tools
 def test_fewer_kills_than_last_measured_fail_beyond_chance(tool: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(tool.FOLDERS, "toy", tool.Folder(0.9, []))
     assert not tool.too_few("toy", 90, 100)
