@@ -118,6 +118,7 @@ def versioned(name: str) -> str:
     return f"{name} 1.{[*BROKEN, *MORE].index(name)}"
 
 
+@pytest.mark.tools
 def test_a_run_that_uses_none_of_them_gives_the_same_bytes(mlens: Mlens, tmp_path: Path) -> None:
     with_them, without = mlens("run", "tiny.yaml", "--out", "a"), mlens("run", "tiny.yaml", "--out", "b", broken=False)
     assert (with_them.returncode, without.returncode) == (0, 0), with_them.stderr + without.stderr

@@ -77,6 +77,7 @@ def test_whatever_they_show(scenario: str, facets: int, seed: int, tmp_path: Pat
     designed(scenario, facets, seed, tmp_path)
 
 
+@pytest.mark.tools
 def test_a_small_relief_that_is_written_is_kept(tmp_path: Path) -> None:
     metrics = designed("single", 8, 1, tmp_path, "lens.relief=3mm", "pipeline.matcher.scales=[0.35, 1.0]")
     assert metrics["z_max_mm"] - 40 <= 3
