@@ -48,11 +48,6 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         done.touch()
 
 
-def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
-    """One process more than there are cores for the tools tier: a quarter of its time it waits for other programs."""
-    return (os.cpu_count() or 1) + 1 if config.getoption("markexpr") == "tools" else None
-
-
 LONGEST = ("test_viewer", "test_docs", "test_studio_lens", "test_gallery")
 """Files that take longest in the tools tier. They begin first, or one process works on the last of them alone."""
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from playwright.sync_api import Browser, Page, expect
+from playwright.sync_api import Browser, Page, Route, expect
 
 from browsers import listen
 from test_studio import png
@@ -198,6 +198,40 @@ def test_the_guess_gets_better_tile_by_tile_unless_motion_is_unwelcome(
     assert off[0] > 10, "it begins with the dots"
     assert len(off) == 2 if motion == "reduce" else len(off) > 4
     assert not complaints
+    tab.close()
+
+
+@pytest.mark.parametrize("status", [200, 400])
+def test_an_answer_that_comes_late_changes_nothing(browser: Browser, address: str, picture: Path, status: int) -> None:
+    """A forecast of the order before, or a refusal of it, arrives when the guess of the newer one is on the page."""
+    tab, _ = visit(browser, address, 1440)
+    waiting: list[Route] = []
+
+    def delay_first(route: Route) -> None:
+        if waiting:
+            route.continue_()
+        else:
+            waiting.append(route)
+
+    tab.locator("#files").set_input_files(picture)
+    expect(tab.locator("#preview canvas")).to_be_visible()
+    tab.route("**/api/forecasts", delay_first)
+    tab.get_by_label("Side of the lens").fill("30")
+    for _ in range(100):
+        if waiting:
+            break
+        tab.wait_for_timeout(100)
+    tab.get_by_label("Side of the lens").fill("40")
+    expect(tab.locator("#foreseen")).to_contain_text("13 x 13, each")
+    expect(tab.locator("#preview[data-done]")).to_be_visible()
+    with tab.expect_response("**/api/forecasts"):
+        if status == 200:
+            waiting[0].continue_()
+        else:
+            waiting[0].fulfill(status=status, json={"errors": [{"where": None, "message": "too small"}]})
+    tab.wait_for_timeout(500)
+    expect(tab.locator("#preview canvas")).to_be_visible()
+    expect(tab.locator("#foreseen")).to_contain_text("13 x 13, each")
     tab.close()
 
 

@@ -42,8 +42,8 @@ function guess() {
   clearTimeout(soon);
   soon = setTimeout(async () => {
     try {
-      const made = order();
-      await preview(made, await foresee(made));
+      const made = order(), lens = await foresee(made);
+      if (lens) await preview(made, lens);
     } catch (error) {
       preview(null);
       foresee(null, error);

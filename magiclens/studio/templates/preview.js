@@ -23,11 +23,12 @@ let asked = 0, forecasts = 0;
 // Pictures of an order as such a lens might show them, better and better; nothing of no order.
 export async function preview(order, lens) {
   const mine = ++asked;
-  if (!order || !lens) return box.replaceChildren();
+  if (!order) return box.replaceChildren();
   const { pictures, crop, ground, contrast, scenario } = order;
-  const found = await Promise.all(pictures.map((name) => ask("GET", `/api/previews/${name}?${new URLSearchParams({ crop, ground, contrast })}`)));
+  const asking = pictures.map((name) => ask("GET", `/api/previews/${name}?${new URLSearchParams({ crop, ground, contrast })}`));
+  const found = await unlessLate(Promise.all(asking), () => mine !== asked);
+  if (!found) return undefined;
   const reasons = element("ul", { className: "muted" }, ...found.map((one) => element("li", {}, one.reasons.join(" "))));
-  if (mine !== asked) return undefined;
   const wanted = found.map((one, k) => figure(element("img", { src: one.picture, alt: `${pictures[k]}, as it is asked for` }), "As it is asked for"));
   if (!(scenario in WAYS)) return show(wanted, "The sheet will be painted for this; the draft shows how well that goes.", reasons);
   const targets = await Promise.all(found.map((one) => greys(one.picture, lens.facets * TILE)));
@@ -71,6 +72,17 @@ function canvas(side, name, quarters) {
   return made;
 }
 
+// An answer, or null if it came too late, when a newer order is on the page: answers overtake each other, and so do errors.
+async function unlessLate(answer, isLate) {
+  try {
+    const found = await answer;
+    return isLate() ? null : found;
+  } catch (error) {
+    if (isLate()) return null;
+    throw error;
+  }
+}
+
 // What an order will take, in the table; facets and thickness of its lens, or nothing if the order has changed meanwhile.
 export async function foresee(order, trouble) {
   const mine = ++forecasts;
@@ -79,9 +91,8 @@ export async function foresee(order, trouble) {
     table.tBodies[0].replaceChildren(row("Not yet", words, ""));
     return null;
   }
-  const found = await ask("POST", "/api/forecasts", order);
-  if (mine !== forecasts) return null;
-  table.tBodies[0].replaceChildren(...found.rows.map((each) => row(...each)));
+  const found = await unlessLate(ask("POST", "/api/forecasts", order), () => mine !== forecasts);
+  if (found) table.tBodies[0].replaceChildren(...found.rows.map((each) => row(...each)));
   return found;
 }
 
