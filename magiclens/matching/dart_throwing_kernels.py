@@ -9,9 +9,13 @@ import numpy as np
 from magiclens.contract.artifacts import BoolArray, FloatArray, IntArray
 from magiclens.kernels.compiler import njit
 from magiclens.kernels.threads import in_threads
-from magiclens.matching.reachability_kernels import reachable
+from magiclens.matching.reachability_kernels import least_upright
 from magiclens.optics.medium import Optics
+from magiclens.optics.refraction import facet_normal
 from magiclens.optics.walls import Edges, best_height, surroundings
+
+_ROUNDS = 4
+"""Iterations of slopes and heights, which depend on each other."""
 
 
 class Labels(NamedTuple):
@@ -29,18 +33,20 @@ class Labels(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def _regions_reachable_part(part, centres, offsets, maps, half, optics, out):
+def _regions_reachable_part(part, centres, offsets, maps, half, optics, relief, out):
     """Part of the facets, see ``regions_reachable``."""
     for f in range(part.first, part.end):
         cx, cy = centres[f, 0], centres[f, 1]
         for k in range(len(offsets)):
             rx, ry = offsets[k, 0], offsets[k, 1]
             for s in range(4):
-                out[f, k, s] = reachable((cx, cy), (rx, ry), (maps[s, 0], 0.0, maps[s, 1]), half, optics)
+                out[f, k, s] = least_upright(
+                    (cx, cy), (rx, ry), (maps[s, 0], 0.0, maps[s, 1]), half, optics
+                ) >= 0.0 and relief >= _tallest((cx, cy), (rx, ry), (maps[s, 0], maps[s, 1]), half, optics)
 
 
 def regions_reachable(
-    centres: FloatArray, offsets: FloatArray, maps: FloatArray, pitch: float, optics: Optics
+    centres: FloatArray, offsets: FloatArray, maps: FloatArray, pitch: float, optics: Optics, relief: float
 ) -> BoolArray:  # fmt: skip
     """(F, D^2, 4) bool: can a facet show its neighbouring sub-regions with each map, below slope limit and relief?
 
@@ -50,10 +56,40 @@ def regions_reachable(
         maps: (4, 2) xx and yy.
         pitch: side of a facet, mm.
         optics: ``Optics`` in the image frame.
+        relief: how far the top may rise or fall from the reference plane, mm.
     """
     out = np.zeros((len(centres), len(offsets), 4), np.bool_)
-    in_threads(_regions_reachable_part, len(centres), centres, offsets, maps, 0.5 * pitch, optics, out)
+    in_threads(_regions_reachable_part, len(centres), centres, offsets, maps, 0.5 * pitch, optics, relief, out)
     return out
+
+
+@njit(cache=True)
+def _tallest(centre, offset, m, half, optics):
+    """How far the corners of a lenslet rise or fall from its mean, mm.
+
+    ``h_k = (g_4 + g_k) / 2 . p_k - mean(h) / 3`` with the slopes g_k at the corners p_k and g_4 at the centre. Where
+    the surface is lower, it must be steeper: the heights at which slopes are taken are iterated.
+    """
+    (cx, cy), (rx, ry), (xx, yy), eye = centre, offset, m, optics.eye
+    far = eye[2] - optics.depth
+    slopes, rises = np.zeros((5, 2)), np.zeros(5)
+    for _ in range(_ROUNDS):
+        for k in range(5):
+            px = 0.0 if k == 4 else (half if k & 1 else -half)
+            py = 0.0 if k == 4 else (half if k & 2 else -half)
+            x, y, z = cx + px, cy + py, optics.depth + rises[k]
+            lean_x, lean_y = (0.0, 0.0) if optics.vertical else ((x - eye[0]) / far, (y - eye[1]) / far)
+            sx, sy = x + rx + (xx - 1.0) * px, y + ry + (yy - 1.0) * py
+            nx, ny, nz = facet_normal(eye, (x - lean_x * rises[k], y - lean_y * rises[k], z), (sx, sy), optics)
+            along = nx * lean_x + ny * lean_y - nz
+            slopes[k, 0], slopes[k, 1] = nx / along, ny / along
+        for k in range(4):
+            px, py = half if k & 1 else -half, half if k & 2 else -half
+            rises[k] = 0.5 * ((slopes[4, 0] + slopes[k, 0]) * px + (slopes[4, 1] + slopes[k, 1]) * py)
+        # the mean of a quadratic over the square is a third of its mean over the corners
+        rises[4] = 0.0
+        rises -= rises[:4].mean() / 3.0
+    return np.abs(rises).max()
 
 
 @njit(cache=True)

@@ -15,8 +15,8 @@ _SPARE = 1.15
 
 
 @njit(cache=True)
-def reachable(centre, offset, m, half, optics):
-    """Can a facet show this patch, facing the eye, below the slope limit and within the relief?
+def least_upright(centre, offset, m, half, optics):
+    """The least z of a facet's normals where it shows a patch, -1 if it faces away from the eye or is too steep.
 
     The slopes are checked at its centre and four corners.
 
@@ -37,8 +37,17 @@ def reachable(centre, offset, m, half, optics):
         n = facet_normal(eye, (x, y, optics.depth), (sx, sy), optics)
         faces_eye = n[0] * (eye[0] - x) + n[1] * (eye[1] - y) + n[2] * (eye[2] - optics.depth) > 0.0
         if n[2] < optics.cos_limit or not faces_eye:
-            return False
+            return -1.0
         upright = min(upright, n[2])
+    return upright
+
+
+@njit(cache=True)
+def reachable(centre, offset, m, half, optics):
+    """Can a facet show this patch, below the slope limit and within the relief? Arguments: see ``least_upright``."""
+    upright = least_upright(centre, offset, m, half, optics)
+    if upright < 0.0:
+        return False
     slope = math.sqrt(max(1.0 - upright * upright, 0.0)) / upright
     return _LOW * slope * half <= optics.relief or _SPARE * tallest(centre, offset, m, half, optics) <= optics.relief
 
