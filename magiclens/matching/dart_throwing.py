@@ -170,7 +170,7 @@ class Reach:
         offsets = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
         regions = _neighbour_regions(lattice, lens.facets, q, numbers)
         centres = lens.facet_centres_mm().reshape(-1, 2) * (1, -1)
-        usable = regions_reachable(centres, offsets, maps, lens.pitch_mm, image_optics_of(scene), lens.relief_mm)
+        usable = regions_reachable(centres, offsets, maps, lens.pitch_mm, image_optics_of(scene))
         free = np.append(_unreserved(scene, lattice).ravel(), False)
         return cls(offsets, maps, usable & free[regions][..., None], regions)
 

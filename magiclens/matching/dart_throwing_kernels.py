@@ -33,7 +33,7 @@ class Labels(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def _regions_reachable_part(part, centres, offsets, maps, half, optics, relief, out):
+def _regions_reachable_part(part, centres, offsets, maps, half, optics, out):
     """Part of the facets, see ``regions_reachable``."""
     for f in range(part.first, part.end):
         cx, cy = centres[f, 0], centres[f, 1]
@@ -42,11 +42,11 @@ def _regions_reachable_part(part, centres, offsets, maps, half, optics, relief, 
             for s in range(4):
                 out[f, k, s] = least_upright(
                     (cx, cy), (rx, ry), (maps[s, 0], 0.0, maps[s, 1]), half, optics
-                ) >= 0.0 and relief >= _tallest((cx, cy), (rx, ry), (maps[s, 0], maps[s, 1]), half, optics)
+                ) >= 0.0 and optics.relief >= _tallest((cx, cy), (rx, ry), (maps[s, 0], maps[s, 1]), half, optics)
 
 
 def regions_reachable(
-    centres: FloatArray, offsets: FloatArray, maps: FloatArray, pitch: float, optics: Optics, relief: float
+    centres: FloatArray, offsets: FloatArray, maps: FloatArray, pitch: float, optics: Optics
 ) -> BoolArray:  # fmt: skip
     """(F, D^2, 4) bool: can a facet show its neighbouring sub-regions with each map, below slope limit and relief?
 
@@ -56,10 +56,9 @@ def regions_reachable(
         maps: (4, 2) xx and yy.
         pitch: side of a facet, mm.
         optics: ``Optics`` in the image frame.
-        relief: how far the top may rise or fall from the reference plane, mm.
     """
     out = np.zeros((len(centres), len(offsets), 4), np.bool_)
-    in_threads(_regions_reachable_part, len(centres), centres, offsets, maps, 0.5 * pitch, optics, relief, out)
+    in_threads(_regions_reachable_part, len(centres), centres, offsets, maps, 0.5 * pitch, optics, out)
     return out
 
 
