@@ -22,6 +22,8 @@ _Result = TypeVar("_Result")
 
 _TIMEOUT = "10s"
 """Longest time that a scheduler may take to answer."""
+_NEVER = "3650d"
+"""Longer than any list of tasks takes."""
 PATIENCE_S = 5.0
 """Seconds without any worker after which the user is told how to start one, and between two looks for workers."""
 
@@ -72,13 +74,16 @@ class Dask(Executor):
         """Worker processes on this machine.
 
         A worker that runs compiled code may not answer for minutes, so silence does not count as death. Dask's limit of
-        memory is off: it would kill workers that the operating system can still serve.
+        memory is off: it would kill workers that the operating system can still serve. So is its closing of lost
+        workers: it looks once, seconds after a worker died, and would close a nanny whose next worker is starting.
         """
         import dask
         from distributed import LocalCluster
 
         with (
-            dask.config.set({"distributed.scheduler.worker-ttl": None}),
+            dask.config.set(
+                {"distributed.scheduler.worker-ttl": None, "distributed.deploy.lost-worker-timeout": _NEVER}
+            ),
             LocalCluster(
                 n_workers=self.workers,
                 threads_per_worker=1,
