@@ -24,6 +24,8 @@ from milled import BALL, FLAT, V, cutter, waves
 from milled import WAVES as SMALL
 from test_printed import scene_of
 
+pytestmark = pytest.mark.tools
+"""Its kernels take longest to compile, and are no other file's."""
 SHAPES = pytest.mark.parametrize("shape", [BALL, FLAT, V], ids=["ball", "flat", "v"])
 
 

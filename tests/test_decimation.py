@@ -25,6 +25,8 @@ from magiclens.rendering.mitsuba import Mitsuba
 from magiclens.running.open_run import open_run
 from magiclens.testing.scenes import bumpy_solid, one_view
 
+pytestmark = pytest.mark.tools
+"""Its kernel takes 10 s to compile, and is no other file's."""
 SCENE = one_view()
 
 

@@ -196,7 +196,7 @@ def test_other_eyes_see_what_the_tracer_finds(made_for: Eye, eye: Eye, cells: st
     field = lens_at(scene, chosen, np.full((1, 1), height))
     hits = trace(solid_from_heights(field), lens, grey_view(BLANK, BLANK, eye), per, 1)[:, :, 0].astype(float)
     seen = linearised(
-        np.array(eye), np.array(made_for), np.zeros((1, 2)), field.heights_mm[:, :, 48, 48].ravel(),
+        np.array(eye), np.array(made_for), np.zeros((1, 2)), field.heights_mm[:, :, 48, 48].flatten(),
         chosen.offsets_mm.reshape(1, 2).astype(float), Slab(THICK, gap, IOR),
     )  # fmt: skip
     expected = seen.by_facet[0] + seen.by_source[0] @ chosen.maps[0, 0][[0, 1, 1, 2]].reshape(2, 2)

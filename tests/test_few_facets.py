@@ -62,9 +62,8 @@ def designed(scenario: str, facets: int, seed: int, folder: Path, *overrides: st
     return found
 
 
-@pytest.mark.parametrize(
-    ("scenario", "facets"), [("single", 8), pytest.param("multi-view", 4, marks=pytest.mark.tools)]
-)
+@pytest.mark.tools
+@pytest.mark.parametrize(("scenario", "facets"), [("single", 8), ("multi-view", 4)])
 def test_few_facets_are_built_within_the_usual_relief(scenario: str, facets: int, tmp_path: Path) -> None:
     metrics = designed(scenario, facets, 0, tmp_path)
     assert metrics["z_max_mm"] - metrics["z_min_mm"] > 3
@@ -99,7 +98,7 @@ def needed(lens: Lens, optics: Optics, offsets: FloatArray, maps: FloatArray) ->
 
 @pytest.mark.parametrize("vertical", [False, True])
 @pytest.mark.parametrize("gap", [0.0, 20.0])
-@pytest.mark.parametrize("facets", [4, 8, 16])
+@pytest.mark.parametrize("facets", [4, pytest.param(8, marks=pytest.mark.tools), 16])
 def test_nine_points_tell_how_tall_a_lenslet_becomes(facets: int, gap: float, vertical: bool) -> None:
     rng = np.random.default_rng(facets)
     lens = Lens(100.0, 100.0, facets, 22, 40.0, gap_mm=gap, relief_mm=20.0)

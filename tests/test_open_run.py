@@ -90,7 +90,7 @@ def test_a_lens_is_seen_in_any_pose(run: Run) -> None:
 def test_the_top_as_made_is_that_of_the_print(run: Run, lenses: Lenses) -> None:
     designed = open_run(run.folder)
     np.testing.assert_allclose(designed.top_as_made.heights_mm, run.result.height_field.heights_mm, atol=1e-6)
-    printed = open_run(lenses.shipped("printed-single").folder)
+    printed = open_run(lenses.shipped("printed-single", "lens.size=12mm", "lens.facets=4").folder)
     view, top = printed.printed_scene.views[0], printed.top_as_made
     mesh, sampled = (
         score(Tracer(resolution=128).render(printed.printed_scene, solid)[0], view.target).psnr_db

@@ -115,8 +115,9 @@ def patches_seen(
     from magiclens.optics.medium import slab_of
 
     offsets = assignment.offsets_mm.reshape(-1, 2).astype(np.float64)
-    heights = np.zeros(n * n) if heights_mm is None else np.ascontiguousarray(heights_mm, np.float64).ravel()
-    seen = linearised(eye_mm, cut_eye, centres.reshape(-1, 2), heights, offsets, slab_of(lens))
+    heights = np.zeros(n * n) if heights_mm is None else np.array(heights_mm, np.float64).ravel()
+    # a copy: kernels are compiled again for arrays that may not be written to
+    seen = linearised(np.array(eye_mm), cut_eye, centres.reshape(-1, 2), heights, offsets, slab_of(lens))
     landings, positions = seen.landing.reshape(n, n, 2), seen.position.reshape(n, n, 2)
     along, span, shears = (
         a.reshape(n, n, 2, 2) for a in (seen.by_facet, seen.by_source, seen.position_by_facet)

@@ -52,7 +52,9 @@ class Exhaustive(LatticeOptions, Matcher):
 
         lens, channels, rows, pixels = scene.lens, stack_channels(scene), slice(first, last), self.pixels
         values = channels.tiles(lens.facets, pixels)[rows].reshape(-1, len(channels.target), pixels, pixels)
-        tiles = Tiles(values, lens.facet_centres_mm()[rows].reshape(-1, 2) * (1, -1), lens.pitch_mm)
+        centres = lens.facet_centres_mm()[rows].reshape(-1, 2) * (1, -1)
+        # one row alone is a strided view: kernels would be compiled for it again
+        tiles = Tiles(np.ascontiguousarray(values), centres, lens.pitch_mm)
         pool = Pool(len(values), math.ceil(math.sqrt(self.candidates)))
         search_all(self, scene, channels, tiles, pool, progress)
         pool.require_all(lens, first)
