@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
 import signal
@@ -11,8 +12,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
+from PIL import Image
 from playwright.sync_api import Browser, Page, Route, expect
 
 from browsers import listen
@@ -247,6 +250,75 @@ def test_cards_move_for_less_than_five_seconds_and_when_they_are_pointed_at(brow
     assert tab.evaluate(moving) == 0
     tab.locator(".card").nth(1).hover()
     assert tab.evaluate(moving) > 0
+    tab.close()
+
+
+@pytest.fixture
+def stripes(tmp_path: Path) -> Path:
+    """A wide picture, 400 x 200: its 100 columns in the middle are black."""
+    path, image = tmp_path / "stripes.png", Image.new("L", (400, 200), 255)
+    image.paste(0, (150, 0, 250, 200))
+    image.save(path)
+    return path
+
+
+def kept_picture(tab: Page, name: str) -> Image.Image:
+    return Image.open(io.BytesIO(tab.request.get(tab.url + f"pictures/{name}").body())).convert("L")
+
+
+def test_a_square_is_cut_out_by_keyboard_alone(browser: Browser, address: str, stripes: Path) -> None:
+    tab, complaints = visit(browser, address, 1440)
+    tab.locator("#files").set_input_files(stripes)
+    tab.get_by_role("button", name="Crop stripes.png").press("Enter")
+    press_until(tab, "[name=side]")
+    tab.keyboard.press("Home")
+    press_until(tab, "[name=across]")
+    for _ in range(6):
+        tab.keyboard.press("ArrowRight")
+    assert not serious(tab)
+    press_until(tab, "[value=cut]")
+    tab.keyboard.press("Enter")
+    expect(tab.locator("#status")).to_have_text("stripes-cropped.png is added")
+    expect(tab.get_by_label("stripes-cropped.png (1)")).to_be_checked()
+    expect(tab.get_by_label("stripes.png", exact=True)).not_to_be_checked()
+    square = np.asarray(kept_picture(tab, "stripes-cropped.png"))
+    # the middle square of 200 begins at 100; one of 64 there, moved by 6, has 20 of the black columns
+    assert square.shape == (64, 64)
+    assert (square[:, :44] == 255).all()
+    assert (square[:, 44:] == 0).all()
+    assert not complaints
+    tab.close()
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_a_square_is_cut_out_by_dragging(browser: Browser, address: str, stripes: Path, width: int) -> None:
+    tab, complaints = visit(browser, address, width)
+    tab.locator("#files").set_input_files(stripes.rename(stripes.with_name(f"drag-{width}.png")))
+    tab.get_by_role("button", name=f"Crop drag-{width}.png").click()
+    box = tab.locator("#crop img").bounding_box()
+    assert box
+    pixel = box["width"] / 400
+
+    def drag(start: tuple[int, int], end: tuple[int, int]) -> None:
+        tab.mouse.move(box["x"] + start[0] * pixel, box["y"] + start[1] * pixel)
+        tab.mouse.down()
+        tab.mouse.move(box["x"] + end[0] * pixel, box["y"] + end[1] * pixel, steps=4)
+        tab.mouse.up()
+
+    assert fits(tab)
+    drag((298, 198), (198, 98))  # by its corner: half the side
+    drag((150, 50), (250, 70))  # the whole frame
+    tab.get_by_role("button", name="Cut out").click()
+    expect(tab.locator("#status")).to_have_text(f"drag-{width}-cropped.png is added")
+    dark = (np.asarray(kept_picture(tab, f"drag-{width}-cropped.png")) < 128).all(axis=0)
+    assert len(dark) == pytest.approx(100, abs=3)
+    assert dark.sum() == pytest.approx(50, abs=3)
+    assert dark[: dark.sum()].all()
+    tab.get_by_role("button", name=f"Crop drag-{width}.png").click()
+    tab.keyboard.press("Escape")
+    expect(tab.locator("#crop")).to_be_hidden()
+    expect(tab.locator("#pictures li").filter(has_text=f"drag-{width}")).to_have_count(2)
+    assert not complaints
     tab.close()
 
 

@@ -39,7 +39,7 @@ from magiclens.studio.worker import Worker
 MOST_UPLOAD_BYTES = 20_000_000
 """Largest picture that is taken."""
 _MOST_JSON_BYTES = 500_000
-_SCRIPTS = ("main.js", "orders.js", "preview.js", "jobs.js", "server.js", "tiles.js")
+_SCRIPTS = ("main.js", "orders.js", "crop.js", "preview.js", "jobs.js", "server.js", "tiles.js")
 _CARDS = (
     ("single", "single", "One picture", "It appears when the lens lies on its sheet.", 1),
     ("rotating", "rotating", "A picture for each turn", "Turn the lens by a quarter: another one appears.", 1),

@@ -1,4 +1,5 @@
 // Pictures and the form: what the user wants.
+import { crop } from "./crop.js";
 import { foresee, preview } from "./preview.js";
 import { ask, complain, element, noComplaint, say } from "./server.js";
 
@@ -59,9 +60,31 @@ function item(name) {
   });
   const remove = element("button", { type: "button", id: `delete-${name}`, ariaLabel: `Delete ${name}` }, "Delete");
   remove.addEventListener("click", () => trying(() => ask("DELETE", `/api/pictures/${name}`)));
+  const cut = element("button", { type: "button", id: `crop-${name}`, ariaLabel: `Crop ${name}` }, "Crop");
+  cut.addEventListener("click", () => trying(() => cutOut(name)));
   const place = chosen.includes(name) ? ` (${chosen.indexOf(name) + 1})` : "";
   const picture = element("img", { src: `/pictures/${name}`, alt: "", loading: "lazy" });
-  return element("li", {}, element("label", {}, picture, box, ` ${name}${place}`), element("br"), remove);
+  return element("li", {}, element("label", {}, picture, box, ` ${name}${place}`), element("div", { className: "acts" }, cut, remove));
+}
+
+// A square of a picture takes its place; the picture stays.
+async function cutOut(name) {
+  const square = await crop(name);
+  if (!square) return;
+  const made = await kept(`${name.replace(/\.\w+$/, "")}-cropped.png`, square);
+  const place = chosen.indexOf(name);
+  chosen = chosen.filter((other) => other !== made);
+  if (place < 0) chosen.push(made);
+  else chosen = chosen.map((other) => (other === name ? made : other));
+  say(`${made} is added`);
+  draw();
+}
+
+// The name by which the studio keeps a picture.
+async function kept(name, file) {
+  const answer = await ask("POST", `/api/pictures?name=${encodeURIComponent(name)}`, file);
+  if (!names.includes(answer.name)) names = [...names, answer.name].sort();
+  return answer.name;
 }
 
 async function trying(work) {
@@ -79,9 +102,8 @@ async function add(files) {
   for (const file of files) {
     say(`Adding ${file.name}`);
     try {
-      const { name } = await ask("POST", `/api/pictures?name=${encodeURIComponent(file.name)}`, file);
+      const name = await kept(file.name, file);
       if (!chosen.includes(name)) chosen.push(name);
-      if (!names.includes(name)) names = [...names, name].sort();
       say(`${name} is added`);
     } catch (error) {
       say(`${file.name} is refused`);
