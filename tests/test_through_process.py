@@ -205,6 +205,15 @@ class TestRefinement:
         raw = Poisson.model_validate({"process": {}, "refinement": 1}).refine(a_scene(), a_surface())
         assert raw.metrics["step_max_mm"] > 0
 
+    def test_there_is_a_raster_for_every_size_of_cells(self) -> None:
+        """What is a seventh of a cell asked for a raster seven times as fine, which no margin makes fast."""
+        lens = replace(LENS, facets=2, microfacets=7)
+        widest = lens.pitch_mm / lens.microfacets / LinearProcess(spread="1mm").finest_mm
+        for times in range(1, 18):
+            process = LinearProcess(spread=f"{widest / times}mm")
+            top = WholeTop(a_scene(lens=lens), a_surface(lens), process)
+            assert top.raster.pitch <= 1.001 * process.finest_mm
+
     def test_rises_are_limited_alike_on_both_sides(self) -> None:
         heights = np.zeros((6, 6), np.float32)
         heights[:, 3:] = 1.0

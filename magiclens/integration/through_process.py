@@ -282,9 +282,17 @@ class WholeTop:
 
 
 def _times(cells: int, pitch: float, process: LinearProcess) -> int:
-    """How many times as fine as the vertices the raster of the made surface is."""
+    """How many times as fine as the vertices the raster of the made surface is: a number without large prime factors.
+
+    Multiples of others have no fast cosine transform, whatever the margin.
+    """
+    from scipy.fft import next_fast_len
+
     wanted = math.ceil(pitch / process.finest_mm) if process.finest_mm > 0 else 1
-    return max(1, min(wanted, _MOST_NODES // cells))
+    times = max(1, min(next_fast_len(wanted, real=True), _MOST_NODES // cells))
+    while next_fast_len(times, real=True) > times:
+        times -= 1
+    return times
 
 
 def _margin(cells: int, times: int, least: int) -> int:
