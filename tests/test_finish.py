@@ -28,12 +28,15 @@ from magiclens.meshing.validation import (
 
 N, M, PITCH, THICK = 5, 4, 3.0, 8.0
 LENS = Lens(size_mm=N * PITCH, source_size_mm=N * PITCH, facets=N, microfacets=M, thickness_mm=THICK, wall_mm=0.002)
+MARKED, WIDE = replace(LENS, mark=True), replace(LENS, floor_mm=40.0)
 LINES = N * (M + 1) + 2
 SCENE = Scene(LENS, ())
 EYES = {"eye": (0.0, 0.0, THICK + 60.0), "eye aside": (20.0, -7.0, THICK + 60.0), "vertical": None}
 
 
-def lens_solid(eye: tuple[float, float, float] | None = EYES["eye"], relief: float = 0.4, seed: int = 3) -> Solid:
+def lens_solid(
+    eye: tuple[float, float, float] | None = EYES["eye"], relief: float = 0.4, seed: int = 3, lens: Lens = LENS
+) -> Solid:
     """A slab whose facets are tilted, curved lenslets with steps between them."""
     from magiclens.geometry.solid import solid_from_heights
 
@@ -41,7 +44,7 @@ def lens_solid(eye: tuple[float, float, float] | None = EYES["eye"], relief: flo
     x = np.linspace(-0.5, 0.5, M + 1)
     bend, tilt, level = (rng.uniform(-relief, relief, (N, N, 1, 1)) for _ in range(3))
     heights = level + tilt * x + 0.5 * tilt * x[:, None] + bend * (x**2 + x[:, None] ** 2)
-    return solid_from_heights(HeightField(LENS, heights, None if eye is None else np.array(eye)))
+    return solid_from_heights(HeightField(lens, heights, None if eye is None else np.array(eye)))
 
 
 def vertex_of(row: int, column: int, down: int = 2, right: int = 2) -> int:
@@ -102,6 +105,13 @@ def with_upright_sides(solid: Solid) -> Solid:
     rim = np.concatenate([index[:-1, 0], index[-1, :-1], index[:0:-1, -1], index[0, :0:-1]])
     vertices = solid.vertices.copy()
     vertices[LINES**2 : -1, :2] = vertices[rim, :2]
+    return Solid(vertices, solid.faces, solid.grid, solid.eye_mm)
+
+
+def with_foot_drawn_in(solid: Solid) -> Solid:
+    """Points of the foot moved in below the top, so that sides lean the other way."""
+    vertices = solid.vertices.copy()
+    vertices[LINES**2 + 3 : LINES**2 + 6, 0] = -N * PITCH / 4
     return Solid(vertices, solid.faces, solid.grid, solid.eye_mm)
 
 
@@ -304,6 +314,15 @@ def test_structure_of_a_sound_solid_excludes_self_intersections(eye: tuple[float
     assert len(faces_that_cut(solid)) == 0
 
 
+@pytest.mark.parametrize("lens", [MARKED, WIDE, replace(WIDE, mark=True)], ids=["mark", "wide", "both"])
+@pytest.mark.parametrize("eye", EYES.values(), ids=EYES.keys())
+def test_sides_may_lean_out_to_the_foot(eye: tuple[float, float, float] | None, lens: Lens) -> None:
+    solid = as_exported(lens_solid(eye, relief=1.5, lens=lens))
+    assert cannot_cut_itself(solid)
+    assert len(faces_that_cut(solid)) == 0
+    assert not cannot_cut_itself(with_foot_drawn_in(solid))
+
+
 @pytest.mark.parametrize("breaks", [with_vertex_poked_through_the_floor, with_swapped_vertices])
 def test_search_finds_what_reasoning_cannot_exclude(breaks: Callable[[Solid], Solid]) -> None:
     solid = as_exported(breaks(lens_solid()))
@@ -315,9 +334,10 @@ def test_search_finds_what_reasoning_cannot_exclude(breaks: Callable[[Solid], So
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_reasoning_never_passes_what_the_search_finds(seed: int) -> None:
+@pytest.mark.parametrize("lens", [LENS, MARKED], ids=["plain", "mark"])
+def test_reasoning_never_passes_what_the_search_finds(lens: Lens, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    solid = lens_solid(EYES["eye aside"], seed=seed)
+    solid = lens_solid(EYES["eye aside"], seed=seed, lens=lens)
     vertices = solid.vertices.copy()
     moved = rng.integers(0, len(vertices), 2)
     vertices[moved] += rng.normal(0, rng.choice([0.001, 0.05, 0.5]), (2, 3))

@@ -181,6 +181,18 @@ def test_a_machine_sets_material_facets_and_files(
     assert plan.lens.cells == "vertical"
     assert plan.lens.ior != pytest.approx(1.49)  # a resin, not acrylic
     assert [step.stage.type for step in plan.exporters] == files
+    assert plan.lens.mark
+
+
+@pytest.mark.parametrize(
+    ("machine", "jig", "mark"),
+    [(None, False, False), (None, True, True), ("sla", True, True), ("egx-600", True, False)],
+)
+def test_a_lens_for_a_jig_is_marked_unless_a_mill_makes_it(
+    machine: str | None, jig: bool, mark: bool, panda: Path, tmp_path: Path
+) -> None:
+    new_spec("single", [panda], tmp_path / "my.yaml", making=Making(machine, "60mm", jig=jig))
+    assert planned(tmp_path / "my.yaml").lens.mark == mark
 
 
 @pytest.mark.parametrize("scenario", LAYOUTS)

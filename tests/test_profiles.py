@@ -109,6 +109,7 @@ def test_what_a_scenario_needs_comes_before_what_suits_a_machine(load: Loader) -
         ("lens.thickness=12mm", "lens.thickness: at its thinnest the lens would be 2.1mm; milling needs at least 10mm"),
         ("lens.max_slope=50deg", "lens.max_slope: milling can do 45deg at most, got 50deg"),
         ("lens.wall=1um", "lens.wall: milling can do 0.03mm at least, got 0.001mm"),
+        ("lens.mark=true", "lens.mark: milling cuts the top alone, so it leaves no mark at the foot; nearest: false"),
         ("lens.facets=20", "lens.facets: facets of 1.5mm are below the 2mm of milling; at most 15 fit"),
         ("lens={size: 250mm, facets: 32}", "lens.size: milling can do 200mm at most, got 250mm"),
         ("lens.relief=11mm", "lens.relief: the top may be 22mm deep, the cutter of milling reaches 20mm; at most 10mm"),

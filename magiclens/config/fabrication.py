@@ -103,6 +103,8 @@ class Fabrication:
             yield from self._out_of_reach(machine, lens)
 
     def _out_of_reach(self, machine: Mill, lens: LensSpec) -> Iterator[tuple[str, str]]:
+        if lens.mark:
+            yield "mark", f"{self.name} cuts the top alone, so it leaves no mark at the foot; nearest: false"
         if 2 * lens.relief > machine.reach:
             deep, half = LENGTH.text(2 * lens.relief), LENGTH.text(machine.reach / 2)
             reach = f"the cutter of {self.name} reaches {LENGTH.text(machine.reach)}"

@@ -92,6 +92,7 @@ class LensSpec(SpecModel):
     )
     max_slope: Angle = Field("60deg", validate_default=True, ge=0.1, lt=90, description="steepest facet")
     cells: Literal["eye", "vertical"] = Field("eye", description="facets are cut along eye rays or vertically")
+    mark: bool = Field(False, strict=True, description="whether a mark stands out at the foot of the side that is up")
 
     @field_validator("material")
     @classmethod
@@ -163,6 +164,7 @@ class LensSpec(SpecModel):
             relief_mm=self.relief,
             max_slope_deg=self.max_slope,
             cells=self.cells,
+            mark=self.mark,
         )
 
 

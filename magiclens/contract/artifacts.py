@@ -78,6 +78,7 @@ class Lens:
             that are lower than the reference plane, and shall not see the lens end there.
         floor_mm: Least side of the flat bottom. The sides of the slab lean out to it, so that a tilted eye looks at the
             source and not at a side.
+        mark: Whether a mark stands out at the foot of the side at +y, which is up at rotation 0.
     """
 
     size_mm: float = 100.0
@@ -93,6 +94,7 @@ class Lens:
     cells: Literal["eye", "vertical"] = "eye"
     bleed_mm: float = 0.0
     floor_mm: float = 0.0
+    mark: bool = False
 
     @property
     def pitch_mm(self) -> float:

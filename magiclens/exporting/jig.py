@@ -20,7 +20,8 @@ class Jig(Exporter):
     """A tray that holds sheet and lens in register, and a stand with a peephole at each eye, as STL files to print.
 
     The tray is ``lens.jig.stl``; ``lens.jig-inset.stl``, ``-column``, ``-arm`` and so on stand beside it. What is
-    larger than the bed comes in parts. An arrow in the tray's wall points to the edge of the sheet that is up.
+    larger than the bed comes in parts. An arrow in the tray's wall points to the edge of the sheet that is up. If the
+    lens has a mark, ``lens.mark``, the tray has a slot for it, and takes the lens only as it belongs.
     """
 
     type: ClassVar[str] = "jig"
@@ -33,21 +34,14 @@ class Jig(Exporter):
     peephole: Length = Field("3mm", validate_default=True, ge=0.5, le=20, description="diameter of the peepholes")
     bed: Length = Field("220mm", validate_default=True, ge=60, le=2000, description="longest side of a part")
     stand: bool = Field(True, description="whether there are columns and arms, too")
-    mark: bool = Field(
-        False,
-        description="also write `lens.jig-lens.stl`, the lens with a mark at the foot of its upper side; the tray "
-        "has a slot for the mark, so that the lens fits only as it belongs",
-    )
 
     def export(self, scene: Scene, solid: Solid, path: Path) -> None:
         """Write one file for each part. Raises InputError if no jig can hold the lens, or a part is too large."""
-        from magiclens.exporting.jig_parts import JigShape, jig_parts, marked_lens
+        from magiclens.exporting.jig_parts import JigShape, jig_parts
 
-        shape = JigShape(self.clearance, self.sheet, self.peephole, self.bed, self.stand, self.mark)
+        shape = JigShape(self.clearance, self.sheet, self.peephole, self.bed, self.stand)
         for k, part in enumerate(jig_parts(scene, solid, shape)):
             _write(part.on_bed(), _beside(path, part.name) if k else path)
-        if self.mark:
-            _write(marked_lens(solid), _beside(path, "lens"))
 
 
 def _beside(path: Path, name: str) -> Path:

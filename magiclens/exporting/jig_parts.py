@@ -13,6 +13,7 @@ import numpy as np
 from magiclens.contract.artifacts import Lens, Scene, Solid
 from magiclens.contract.errors import InputError
 from magiclens.exporting.print_page import pages
+from magiclens.geometry.mark import Rectangle, lowest_points, mark_of
 
 if TYPE_CHECKING:
     from manifold3d import Manifold
@@ -29,8 +30,6 @@ _COLUMN, _PEG, _PEG_LONG = 20.0, 12.0, 14.0
 """Sides of a column and of the pegs that join its parts, and length of a peg."""
 _ARM, _RING = 5.0, 14.0
 """Thickness of an arm, and radius of its end around the peephole."""
-_MARK_WIDE, _MARK_OUT, _MARK_HIGH = 3.0, 1.2, 3.0
-"""Width, depth and height of the mark on the lens's side."""
 _FAR = 1e4
 """Higher than anything."""
 
@@ -45,7 +44,6 @@ class JigShape:
         peephole: Diameter.
         bed: Longest side of a part.
         stand: Whether there are columns and arms.
-        marked: Whether the lens carries a mark at the edge that is up at rotation 0.
     """
 
     clearance: float
@@ -53,7 +51,6 @@ class JigShape:
     peephole: float
     bed: float
     stand: bool
-    marked: bool
 
 
 @dataclass(frozen=True)
@@ -111,8 +108,8 @@ def jig_parts(scene: Scene, solid: Solid, shape: JigShape) -> list[JigPart]:
     outer = seat.around(sheet).grown(shape.clearance + _WALL)
     eyes = sorted({tuple(view.eye_mm.tolist()) for view in scene.views}, key=lambda eye: (eye[2], eye[1], eye[0]))
     foot = _foot(outer, lens, eyes)
-    turns = {view.quarter_turns for view in scene.views} if shape.marked else set()
-    slots = [_mark(seat, shape.clearance, turn, _FAR) for turn in sorted(turns)]
+    turns = {view.quarter_turns for view in scene.views} if lens.mark else set()
+    slots = [_slot(mark_of(lowest_points(solid)), shape.clearance, turn) for turn in sorted(turns)]
     tray = _tray(lens, seat, outer, shape)
     tray = _without(tray + _block(foot, lens, shape) if shape.stand else tray, slots)
     parts = [*_tiles(tray, shape.bed), *_inset(seat, sheet, shape, slots)]
@@ -132,21 +129,6 @@ def sight(lens: Lens, eye: Sequence[float]) -> Manifold:
     corners = [(x, y, lens.thickness_mm) for x in (-half, half) for y in (-half, half)]
     ends = [[c + (1 - tip) * (e - c) for c, e in zip(corner, eye, strict=True)] for corner in corners]
     return Manifold.hull_points(np.array([*corners, *ends], np.float32))
-
-
-def marked_lens(solid: Solid) -> Manifold:
-    """A lens with a mark at the foot of its upper side (+y), beyond its bottom. Raises InputError if it is open."""
-    from manifold3d import Manifold, Mesh
-
-    lens = Manifold(Mesh(solid.vertices.astype(np.float32), solid.faces.astype(np.uint32)))
-    if lens.is_empty():
-        raise InputError("the lens is no closed body, so it cannot be marked; set 'mark: false'", "exporter jig: mark")
-    return lens + _mark(_bottom(solid), 0.0, 0, _MARK_HIGH)
-
-
-def _bottom(solid: Solid) -> _Box:
-    low = solid.vertices[solid.vertices[:, 2] <= solid.vertices[:, 2].min() + 1e-6]
-    return _Box(*low[:, :2].min(axis=0).tolist(), *low[:, :2].max(axis=0).tolist())
 
 
 def _seat(scene: Scene, solid: Solid) -> _Box:
@@ -257,11 +239,11 @@ def _arrow(outer: _Box) -> Manifold:
     return CrossSection([corners]).extrude(2.0).translate([0, 0, _HIGH - 1.0])
 
 
-def _mark(seat: _Box, clearance: float, quarter_turns: int, high: float) -> Manifold:
-    """The mark at the foot of the lens's upper side, or with a clearance the room for it, after quarter turns."""
-    half = _MARK_WIDE / 2 + clearance
-    box = _Box(-half, seat.top - 1.0, half, seat.top + _MARK_OUT + 2 * clearance)
-    return box.body(0.0, high).rotate([0, 0, 90 * quarter_turns])
+def _slot(mark: Rectangle, clearance: float, quarter_turns: int) -> Manifold:
+    """The room for a lens's mark after quarter turns of the lens."""
+    half = (mark.right - mark.left) / 2 + clearance
+    box = _Box(-half, mark.bottom - 1.0, half, mark.top + 2 * clearance)
+    return box.moved((mark.left + mark.right) / 2, 0.0).body(0.0, _FAR).rotate([0, 0, 90 * quarter_turns])
 
 
 def _without(body: Manifold, slots: Sequence[Manifold]) -> Manifold:

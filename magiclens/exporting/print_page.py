@@ -11,6 +11,7 @@ import numpy as np
 
 from magiclens.contract.artifacts import FloatArray, Lens, Scene, Solid, View
 from magiclens.exporting.sources import distinct_sources, eight_bit
+from magiclens.geometry.mark import foot_of, lowest_points
 
 if TYPE_CHECKING:
     from reportlab.pdfgen.canvas import Canvas
@@ -27,7 +28,7 @@ _MARGIN, _AWAY, _MARK, _LABEL, _RULER, _ROW = 8.0, 2.0, 6.0, 14.0, 10.0, 5.0
 of text."""
 _RULED, _ROOM = 100, 60
 """Length of the rulers, and least room for a label."""
-_ADVICE = "Print at 100 %, without fitting to the page: both rulers must measure 100 mm. The lens's top is its +y side."
+_ADVICE = "Print at 100 %, without fitting to the page: both rulers must measure 100 mm. The lens's top is its {}."
 _Box = tuple[float, float, float, float]
 """Left, bottom, right and top."""
 
@@ -83,7 +84,7 @@ class Page:
 def pages(scene: Scene, solid: Solid) -> list[Page]:
     """A page for every source of a scene, in the order of the views."""
     sources = distinct_sources(scene)
-    bottom = _bottom(solid)
+    bottom = _bottom(solid, scene.lens)
     out = []
     for k, (name, source) in enumerate(sources.items()):
         views = [view for view in scene.views if view.source_name == name]
@@ -117,12 +118,10 @@ def write_pages(drawn: Sequence[Page], paper_mm: tuple[float, float], path: Path
     canvas.save()
 
 
-def _bottom(solid: Solid) -> _Box:
-    """The rectangle that the lowest vertices span, lens frame, to the nanometre."""
-    x, y, z = solid.vertices.T
-    low = z <= z.min() + 1e-6
-    left, bottom, right, top = (round(float(v), 6) for v in (x[low].min(), y[low].min(), x[low].max(), y[low].max()))
-    return left, bottom, right, top
+def _bottom(solid: Solid, lens: Lens) -> _Box:
+    """The rectangle that the lowest vertices span, without the lens's mark, lens frame, to the nanometre."""
+    foot = foot_of(lowest_points(solid), lens.mark)
+    return round(foot.left, 6), round(foot.bottom, 6), round(foot.right, 6), round(foot.top, 6)
 
 
 def _turned(box: _Box, quarter_turns: int) -> _Box:
@@ -147,7 +146,8 @@ def _draw(canvas: Canvas, page: Page) -> None:
     start, low, end, above = page.extent
     for k, (text, font, size) in enumerate(_head(page)):
         _write(canvas, text, font, size, start, above - _TITLE - k * _ROW, end - start)
-    _write(canvas, _ADVICE, _FONT, _TEXT, start, low + _ROW - _TEXT, end - start)
+    advice = _ADVICE.format("side with the mark" if page.lens.mark else "+y side")
+    _write(canvas, advice, _FONT, _TEXT, start, low + _ROW - _TEXT, end - start)
 
 
 def _picture(canvas: Canvas, page: Page) -> None:

@@ -8,13 +8,17 @@ from dataclasses import replace
 import numpy as np
 
 from magiclens.contract.artifacts import BoolArray, FloatArray, HeightField, IntArray, Lens, Solid
+from magiclens.geometry.mark import with_mark
 
 FACES_AT_ONCE = 1 << 20
 """So many faces' corners and their products are in memory at a time: some 100 MB."""
 
 
 def solid_from_heights(heights: HeightField) -> Solid:
-    """The lens under a height field: top grid, sides along the cutting rays or flatter, flat bottom at z = 0."""
+    """The lens under a height field: top grid, sides along the cutting rays or flatter, flat bottom at z = 0.
+
+    If the lens has a mark, the middle of its upper side leans out to it, so that no point of the top moves.
+    """
     lens, eye = heights.lens, heights.eye_mm
     lines = grid_lines(lens)
     h = height_grid(heights)
@@ -22,7 +26,8 @@ def solid_from_heights(heights: HeightField) -> Solid:
     top = heights.points_mm(u, v, h)
     rim = _border(*h.shape)
     foot = _dropped(heights.points_mm(u.ravel()[rim], v.ravel()[rim], np.zeros(len(rim))), eye)
-    solid = solid_from_grid(top, _widened(foot, lens.floor_mm / 2), eye)
+    floor = _widened(foot, lens.floor_mm / 2)
+    solid = solid_from_grid(top, with_mark(floor) if lens.mark else floor, eye)
     width, depth, height = np.ptp(solid.vertices, axis=0).tolist()
     return replace(
         solid, metrics={"volume_mm3": volume(solid), "width_mm": width, "depth_mm": depth, "height_mm": height}

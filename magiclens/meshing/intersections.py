@@ -73,13 +73,13 @@ def _crossing(faces: IntArray, corners: FloatArray, meeting: IntArray) -> set[in
 
 
 def cannot_cut_itself(solid: Solid) -> bool:
-    """Whether the solid consists of a top and a floor below it, joined by sides that are seen edge-on.
+    """Whether the solid consists of a top and a floor below it, and sides that are seen edge-on or lean outward.
 
     Seen along the cutting rays, the triangles of top and floor all have the same orientation and their outlines are
     star-shaped. They then cover every point within the outline exactly once, so no ray meets either of them twice, and
-    neither can cut itself. Sides may leave the rays by rounding, far less than the thinnest triangle measures. False
-    when this is not so, which does not mean that the solid does cut itself. It must be closed and consistently
-    oriented.
+    neither can cut itself. Sides that lean outward are seen from above and count with the top. Other sides may leave
+    the rays by rounding, far less than the thinnest triangle measures. False when this is not so, which does not mean
+    that the solid does cut itself. It must be closed and consistently oriented.
     """
     if solid.grid is None or (solid.eye_mm is not None and solid.vertices[:, 2].max() >= solid.eye_mm[2]):
         return False
@@ -94,7 +94,10 @@ def cannot_cut_itself(solid: Solid) -> bool:
         return False
     rims = _edges_of(sides, on_top[(count > 0) & (count < 3)])
     thinnest = min(*(_thinnest(seen[top[part]]) for part in faces_in_parts(top)), _thinnest(seen[floor[:, ::-1]]))
-    return 10 * _off_the_rays(seen[sides]) < thinnest and all(_is_star(seen[rim]) for rim in rims)
+    off, across = _off_the_rays(seen[sides]), _altitudes(seen[sides])
+    edge_on = 10 * off < thinnest
+    thinnest = min(thinnest, float(across[~edge_on].min(initial=math.inf)))
+    return 10 * float(off[edge_on].max(initial=0.0)) < thinnest and all(_is_star(seen[rim]) for rim in rims)
 
 
 def _along_rays(points: FloatArray, eye: FloatArray | None) -> FloatArray:
@@ -115,16 +118,21 @@ def _edges_of(sides: IntArray, on_top: NDArray[np.bool_]) -> tuple[IntArray, Int
 
 def _thinnest(triangles: FloatArray) -> float:
     """The smallest altitude of triangles (F, 3, 2); negative if one of them is clockwise."""
+    return float(_altitudes(triangles).min())
+
+
+def _altitudes(triangles: FloatArray) -> FloatArray:
+    """(F,) the smallest altitude of each triangle (F, 3, 2); negative if it is clockwise."""
     a, b, c = (triangles[:, k] for k in range(3))
     double_area = _cross(b - a, c - a)
     longest = np.sqrt(np.max([_square(b - a), _square(c - b), _square(a - c)], axis=0))
-    return float((double_area / longest).min())
+    return np.asarray(double_area / longest)
 
 
-def _off_the_rays(triangles: FloatArray) -> float:
-    """By how much the triangles (F, 3, 2) of the sides fail to be seen edge-on: each has two corners on one ray."""
+def _off_the_rays(triangles: FloatArray) -> FloatArray:
+    """(F,) by how much triangles (F, 3, 2) of the sides fail to be seen edge-on, with two corners on one ray."""
     a, b, c = (triangles[:, k] for k in range(3))
-    return float(np.sqrt(np.min([_square(b - a), _square(c - b), _square(a - c)], axis=0)).max())
+    return np.asarray(np.sqrt(np.min([_square(b - a), _square(c - b), _square(a - c)], axis=0)))
 
 
 def _is_star(edges: FloatArray) -> bool:

@@ -134,6 +134,9 @@ class MillingOptions(MillingExporter):
 
     def require_possible(self, lens: Lens) -> None:
         """A flat lens must fit plate, cutters and bed; what its top adds is known when it is designed."""
+        if lens.mark:
+            why = "a mill cuts the top alone, so it leaves no mark at the foot"
+            raise InputError(f"{why}; set lens.mark to false", keys=("lens.mark",))
         self.require_depth(lens.thickness_mm, lens.thickness_mm, self.stock or lens.thickness_mm)
         self.tiles_of((lens.size_mm, lens.size_mm), self.bed)
         for key, over in (("stepover", self.stepover), ("rough_stepover", self.rough_stepover_mm)):

@@ -9,7 +9,7 @@ from typing import Literal
 
 from magiclens.contract.units import LENGTH
 from magiclens.new.assess import Assessment
-from magiclens.profiles.machines import machines
+from magiclens.profiles.machines import Printer, machines
 
 Place = Literal["table", "hand", "wall"]
 """Where the lens is used: laid down and looked at from a fixed place, held in a hand, or hung up for people passing."""
@@ -56,6 +56,13 @@ class Request:
         """The line about the viewer."""
         distance = _DISTANCES[self.place]
         return f"viewer: {{distance: {distance}}}".ljust(42) + "# from the lens to the eye, straight above its centre"
+
+    @property
+    def marked(self) -> bool:
+        """Whether the lens tells which side is up: where it is printed, or has a jig to fit."""
+        if self.machine is None:
+            return self.jig
+        return isinstance(machines()[self.machine].machine(), Printer)
 
     def steady(self, facets: int, why: str) -> tuple[int, str]:
         """How many facets, and why, where the lens is used."""
@@ -230,6 +237,7 @@ def _lens_lines(request: Request, facets: int | str, why: str, microfacets: int)
     if request.facets:
         facets, why = request.facets, f"{request.facets} x {request.facets} facets, as was wished."
     material = [] if request.machine else ["material: acrylic"]
+    mark = ["mark: true   # at the foot of the side that is up"] if request.marked else []
     return [
         f"size: {request.wider(1)}",
         f"# {why}",
@@ -238,6 +246,7 @@ def _lens_lines(request: Request, facets: int | str, why: str, microfacets: int)
         *usual,
         "gap: 0mm   # the lens lies on the source",
         *material,
+        *mark,
     ]
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from magiclens.contract.artifacts import FloatArray, Lens, Solid
 from magiclens.contract.errors import InputError
+from magiclens.geometry.mark import foot_of
 
 BLOCK_CELLS = 8
 """Cells along a side of the blocks whose heights are bounded, so that rays pass over them, or below, at little cost."""
@@ -84,7 +85,7 @@ def grid_of(solid: Solid, lens: Lens) -> Grid:
         )
     rows, columns = solid.grid
     points = solid.vertices[: rows * columns].reshape(rows, columns, 3)
-    height_and_floor = float(points[..., 2].max()), *_floor(solid.vertices[rows * columns :])
+    height_and_floor = float(points[..., 2].max()), *_floor(solid.vertices[rows * columns :], lens.mark)
     if solid.eye_mm is None:
         us, vs, ws = points[0, :, 0].copy(), points[:, 0, 1].copy(), points[..., 2].copy()
         bounds = *_bounds(ws), *_gentle(us, vs, ws, _GENTLE)
@@ -129,9 +130,9 @@ def _gentle(us: FloatArray, vs: FloatArray, ws: FloatArray, slope: float) -> tup
     return gentle, slope, float(min(blocks))
 
 
-def _floor(below: FloatArray) -> tuple[float, float, float, float]:
-    """The rectangle that the vertices of sides and bottom span; everything if there are none."""
+def _floor(below: FloatArray, marked: bool) -> tuple[float, float, float, float]:
+    """The rectangle that the vertices of sides and bottom span, without a mark; everything if there are none."""
     if not len(below):
         return -np.inf, np.inf, -np.inf, np.inf
-    (left, bottom), (right, top) = below[:, :2].min(axis=0).tolist(), below[:, :2].max(axis=0).tolist()
-    return left, right, bottom, top
+    foot = foot_of(below, marked)
+    return foot.left, foot.right, foot.bottom, foot.top

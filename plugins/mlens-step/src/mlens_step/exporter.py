@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field, field_validator
 
-from magiclens import Exporter, Length, LengthOrPercent, Scene, Solid, relative
+from magiclens import Exporter, InputError, Length, LengthOrPercent, Lens, Scene, Solid, relative
 
 
 class Step(Exporter):
@@ -43,6 +43,11 @@ class Step(Exporter):
         if not 0 <= value.mm(1.0) <= 1000:
             raise ValueError("must be between 0 and 1000 mm, or micro-facets")
         return value
+
+    def require_possible(self, lens: Lens) -> None:
+        """A foot with a mark is no rectangle, on which splines stand."""
+        if lens.mark and self.surface == "splines":
+            raise InputError("splines have no mark; write 'surface: triangles', or lens.mark: false", keys=("surface",))
 
     def export(self, scene: Scene, solid: Solid, path: Path) -> None:
         """Write the file. Raises InputError if the solid is not of the kind that ``surface`` needs."""
