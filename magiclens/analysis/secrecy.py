@@ -19,10 +19,12 @@ _PIXELS = 16
 _SAMPLES = 3
 """Samples of the source per side of such a pixel."""
 _SIDE = 400
-_GUESSABLE, _PLAIN = 0.3, 0.6
-"""Structure of a picture in its sheet from which it can be guessed, and from which it lies open."""
-_UNEVEN = 0.03**2
-"""Variance of display values that the eye takes for even, as in SSIM."""
+_HIDDEN, _GUESSABLE = 0.1, 0.3
+"""Similarity of a sheet and its picture up to which the picture is hidden, and up to which it is only guessed."""
+_BLACK, _UNEVEN = 0.01**2, 0.03**2
+"""What keeps SSIM finite where tiles are black, and where they are even."""
+_SPREAD, _LEAST_SPREAD = 0.25, 1e-3
+"""Standard deviation of display values in usual pictures, and that below which one is even, however an eye adapts."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,7 @@ class Secrecy:
         ssim: Of the sources against their targets.
         tiles: (N, N) likeness, 0 to 1, of each tile of the target and the patch that its facet shows.
         chance: The mean likeness of tiles and other facets' patches.
-        shown: How much of the targets shows in the sources without the lens, see ``shown_in_sheet``; of the worst view.
+        shown: How much of the target shows in the source without the lens, see ``shown_in_sheet``; of the worst view.
     """
 
     psnr_db: float
@@ -68,10 +70,12 @@ def secrecy(scene: Scene, assignment: Assignment) -> Secrecy:
 
 
 def shown_in_sheet(sheet: FloatArray, picture: FloatArray, lens: Lens) -> float:
-    """How much of a picture somebody sees in the sheet alone: 0 for nothing, 1 for all, or for all of its negative.
+    """How much of a picture somebody sees in the sheet alone: 1 for all of it, about 0 for nothing.
 
-    It is the structural term of SSIM of the sheet below the lens and the picture, tile by tile of the lens; tiles count
-    by the picture's contrast. Tiles as a whole, lighter and darker ones, are compared likewise and count half.
+    It is the structural similarity (SSIM, Wang et al. 2004) of the sheet below the lens and the picture, tile by tile
+    of the lens in place, each tile being one window; the mean over all tiles. An eye adapts to pale prints and reads
+    negatives: the largest of three counts, for both as they are, and for both at the same brightness and contrast, the
+    sheet as it is and as a negative.
 
     Args:
         sheet: (H, W, C) linear light, over the whole source.
@@ -84,23 +88,27 @@ def shown_in_sheet(sheet: FloatArray, picture: FloatArray, lens: Lens) -> float:
     below = sheet[edge : len(sheet) - edge, edge : len(sheet) - edge]
     seen, wanted = (to_display(luminance(resize(p, (n * _PIXELS,) * 2))).astype(float) for p in (below, picture))
     seen, wanted = (p.reshape(n, _PIXELS, n, _PIXELS).swapaxes(1, 2).reshape(n * n, -1) for p in (seen, wanted))
-    structure, contrast = _structure(seen, wanted)
-    means, _ = _structure(seen.mean(axis=1)[None], wanted.mean(axis=1)[None])
-    # half: coarse shades tell where the picture is dark, and not what it is
-    return float((np.average(structure, weights=contrast) + means[0]) / 2)
+    adapted = _adapted(seen), _adapted(wanted)
+    return max(_similarity(seen, wanted), _similarity(*adapted), _similarity(1 - adapted[0], adapted[1]))
 
 
 def secrecy_word(shown: float) -> str:
     """The word for ``shown_in_sheet``: hidden, guessable or plain."""
-    return "hidden" if shown < _GUESSABLE else "guessable" if shown < _PLAIN else "plain"
+    return "hidden" if shown <= _HIDDEN else "guessable" if shown <= _GUESSABLE else "plain"
 
 
-def _structure(seen: FloatArray, wanted: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(T,) how far pixels of tiles (T, P) rise and fall together or oppositely, 0 to 1, and (T,) contrast wanted."""
-    a, b = (tiles - tiles.mean(axis=1, keepdims=True) for tiles in (seen, wanted))
-    spread = np.sqrt((a**2).mean(axis=1) * (b**2).mean(axis=1))
-    structure: FloatArray = abs((a * b).mean(axis=1)) / (spread + _UNEVEN)
-    return structure, np.sqrt((b**2).mean(axis=1) + 1e-12)
+def _adapted(tiles: FloatArray) -> FloatArray:
+    """Display values at a usual brightness and contrast."""
+    adapted: FloatArray = 0.5 + (tiles - tiles.mean()) * (_SPREAD / max(float(tiles.std()), _LEAST_SPREAD))
+    return adapted
+
+
+def _similarity(seen: FloatArray, wanted: FloatArray) -> float:
+    """The mean SSIM of tiles (T, P) of display values."""
+    one, other = seen.mean(axis=1), wanted.mean(axis=1)
+    both = ((seen - one[:, None]) * (wanted - other[:, None])).mean(axis=1)
+    brightness = (2 * one * other + _BLACK) / (one**2 + other**2 + _BLACK)
+    return float((brightness * (2 * both + _UNEVEN) / (seen.var(axis=1) + wanted.var(axis=1) + _UNEVEN)).mean())
 
 
 def tile_likeness(lens: Lens, assignment: Assignment, view: View, shift: int = 0) -> FloatArray:

@@ -27,7 +27,7 @@ _METRIC_LABELS = {
     "stealth_ssim": "Sources against their targets, SSIM",
     "tile_leakage": "Likeness of a facet's tile and the patch it looks at",
     "tile_leakage_by_chance": "Likeness of a facet's tile and another facet's patch",
-    "shown_in_sheet": "Structure of a target in its source: below 0.3 hidden, below 0.6 guessable, else plain",
+    "shown_in_sheet": "SSIM of source and target, tile by tile: up to 0.1 hidden, up to 0.3 guessable, else plain",
     "permutation_bits": "Bits of the key that the lens is",
     "step_mean_mm": "Step between neighbouring facets, mean",
     "step_max_mm": "Step between neighbouring facets, highest",
