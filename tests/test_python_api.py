@@ -8,7 +8,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import nbformat
 import numpy as np
@@ -18,9 +18,10 @@ from PIL import Image
 from ruamel.yaml import YAML
 
 import magiclens
-from magiclens import InputError, Run
+from magiclens import Annealer, Assignment, InputError, Progress, Run, Scene, silent
+from magiclens.contract.artifacts import Candidates
 from magiclens.plan.registry import Registry
-from toys import SPEC, SpecWriter, no_timings
+from toys import CANDIDATES, SPEC, TOYS, SpecWriter, ToyExporter, no_timings, registry_of
 
 NOTEBOOKS = sorted(Path(__file__).parent.parent.glob("docs/notebooks/*.ipynb"))
 
@@ -51,6 +52,31 @@ def test_run_is_a_function_whatever_was_imported_before(first: str) -> None:
     code = f"{first}import magiclens; print(callable(magiclens.run), magiclens.run.__name__)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert done.stdout.split() == ["True", "run"]
+
+
+class Last(Annealer):
+    """Chooses the last candidate of every facet, or one before it. No plugin brings it."""
+
+    type: ClassVar[str] = "last"
+
+    before: int = 0
+
+    def anneal(
+        self, scene: Scene, candidates: Candidates, rng: np.random.Generator, progress: Progress = silent
+    ) -> Assignment:
+        return Assignment.pick(candidates, np.full(candidates.errors.shape[:2], CANDIDATES - 1 - self.before))
+
+
+def test_stages_of_ones_own_take_the_place_of_the_specs(spec: dict[str, Any], tmp_path: Path) -> None:
+    runs = [
+        magiclens.run(spec, tmp_path / f"lens-{before}", stages=[Last(before=before), ToyExporter()])
+        for before in (0, 1)
+    ]
+    assert [set(run.result.assignment.choice.ravel()) for run in runs] == [{CANDIDATES - 1}, {CANDIDATES - 2}]
+    chosen = {stage["kind"]: stage for stage in runs[1].manifest["stages"]}
+    assert (chosen["annealer"]["type"], chosen["annealer"]["options"]["before"]) == ("last", 1)
+    with pytest.raises(InputError, match="unknown annealer 'last'"):
+        magiclens.open_run(runs[0].folder, registry_of(*TOYS))
 
 
 def test_a_file_a_dict_and_a_spec_give_the_same_lens(

@@ -66,6 +66,10 @@ class Plugin:
         return f"{self.package} {self.version}"
 
 
+_LENT = Plugin("lent", "lent-to-this-run", "0")
+"""Where stages come from that were given to ``magiclens.run``."""
+
+
 @dataclass(frozen=True)
 class Failure:
     """A plugin, or one of its contributions, that cannot be used.
@@ -157,6 +161,14 @@ class Registry:
             self._collect(implementation, plugin, "mlens_art", self._add_art)
             self._collect(implementation, plugin, "mlens_executors", self._add_executors)
             self._collect(implementation, plugin, "mlens_analyses", self._add_analyses)
+
+    def lend(self, classes: Iterable[type[Any]]) -> None:
+        """Add classes of stages that no plugin brings, for one run from Python. Those that are there stay as they are.
+
+        What is wrong with them is recorded, as in ``register``.
+        """
+        there = {id(each.value) for each in self._contributions.values()}
+        self._add_stages((cls for cls in dict.fromkeys(classes) if id(cls) not in there), _LENT)
 
     def find(self, *key: str) -> tuple[Any, Plugin] | None:
         """A contribution and its plugin.

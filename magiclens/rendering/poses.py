@@ -76,10 +76,14 @@ class PosedLens:
 
     def picture(self, view: View, pose: Pose) -> FloatArray:
         """(R, R, C) float32, linear light, world frame: what the eye of a view sees on the lens's square."""
+        seen = picture(self.landing(view, pose), view.source, self._lens.source_size_mm)
+        return np.ascontiguousarray(np.rot90(seen, view.quarter_turns))
+
+    def landing(self, view: View, pose: Pose) -> FloatArray:
+        """(R, R, S, 3) float32: where on the sheet the samples of a picture land, x and y in mm, and their weight."""
         hits = self._on_sheet(view, pose)
         hits[..., :2] = _places(hits[..., :2], view, pose)
-        seen = picture(hits, view.source, self._lens.source_size_mm)
-        return np.ascontiguousarray(np.rot90(seen, view.quarter_turns))
+        return hits
 
     def _on_sheet(self, view: View, pose: Pose) -> FloatArray:
         """(R, R, S, 3) where samples meet the sheet's plane, x and y in mm from below the lens's centre, and weight."""

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from magiclens.contract.artifacts import Lens, Scene, Solid, Transport, View
+from magiclens.contract.artifacts import FloatArray, Lens, Scene, Solid, Transport, View
+from magiclens.rendering.poses import Pose, PosedLens
 from magiclens.rendering.tracer import trace
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 LEAST_RESOLUTION = 512
 """Least number of pixels along the side of the pictures that transport matrices give.
@@ -50,12 +55,26 @@ def transport(solid: Solid, lens: Lens, view: View, resolution: int, samples: in
         resolution: pixels along the picture's side.
         samples: samples along a pixel's side.
     """
+    hits = trace(solid, lens, view, resolution, samples)
+    matrix, shape = _shares(hits, lens, view), (resolution, resolution)
+    return Transport(matrix, shape, view.source.shape[:2]).turned(view.quarter_turns)
+
+
+def posed_transport(posed: PosedLens, lens: Lens, view: View, pose: Pose) -> Transport:
+    """The same when sheet, lens and eye are not where the design has them; traced as finely as ``posed`` is."""
+    hits = posed.landing(view, pose)  # on the sheet, which has not been turned: only the picture is
+    side = len(hits)
+    upright = np.rot90(np.arange(side * side).reshape(side, side), view.quarter_turns).ravel()
+    return Transport(_shares(hits, lens, view)[upright], (side, side), view.source.shape[:2])
+
+
+def _shares(hits: FloatArray, lens: Lens, view: View) -> csr_array:
+    """(R * R, source pixels) what pixels of a picture take from those of a source; ``hits`` as of ``trace``."""
     from scipy.sparse import csr_array
 
     from magiclens.rendering.source_kernels import gather_shares
 
-    hits = trace(solid, lens, view, resolution, samples)
-    (rows, columns), pixels = view.source.shape[:2], resolution * resolution
+    (rows, columns), pixels = view.source.shape[:2], len(hits) ** 2
     raster = (hits, (rows, columns), columns / lens.source_size_mm)
     pointers = np.zeros(pixels + 1, np.int32)
     nothing = np.zeros(0, np.int32), np.zeros(0, np.float32)
@@ -63,8 +82,7 @@ def transport(solid: Solid, lens: Lens, view: View, resolution: int, samples: in
     np.cumsum(pointers, out=pointers)
     index, share = np.zeros(pointers[-1], np.int32), np.zeros(pointers[-1], np.float32)
     gather_shares(*raster, pointers, index, share)
-    matrix = csr_array((share, index, pointers), shape=(pixels, rows * columns))
-    return Transport(matrix, (resolution, resolution), (rows, columns)).turned(view.quarter_turns)
+    return csr_array((share, index, pointers), shape=(pixels, rows * columns))
 
 
 def traced_view(scene: Scene, view: View) -> View:

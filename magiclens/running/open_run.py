@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 _FRAMES_PER_BATCH = 4
 """Frames that are encoded together; more would hold more pictures in memory at once."""
+_POSED_PX, _POSED_SAMPLES = 256, 3
+"""Pixels along the side of a posed picture, and samples along the side of each."""
 _ROUGH = "as-made-rough"
 """How names of pictures begin that are traced through rough surfaces."""
 _PREFLIGHT = ("preflight.html", "preflight.json")
@@ -102,14 +104,20 @@ class OpenRun:
             raise InputError(unknown("view", name, names), "--view")
         return self.scene.views[names.index(name) if name else 0]
 
-    def transport(self, name: str | None = None) -> Transport:
+    def transport(self, name: str | None = None, pose: Pose | None = None) -> Transport:
         """The matrix from a source to the picture that a view's eye sees of it.
 
         It is read from the run folder, or traced when it is first asked for. Raises InputError like ``view``.
+
+        Args:
+            name: The view, the first one by default.
+            pose: How far sheet, lens and eye are from where they should be; None for nowhere else.
         """
-        from magiclens.rendering.transports import traced_view, transports
+        from magiclens.rendering.transports import posed_transport, traced_view, transports
 
         view = self.view(name)
+        if pose is not None:
+            return posed_transport(self._posed(_POSED_PX, _POSED_SAMPLES), self.scene.lens, view, pose)
         first = traced_view(self.scene, view)
         if first.name not in self._transports:
             kept = None if self.maker else self.files.transport(first)
@@ -198,7 +206,11 @@ class OpenRun:
         return (transport.see(medium.shown(source) if medium else source) for source in fitting)
 
     def seen(
-        self, pose: Pose | None = None, name: str | None = None, resolution: int = 256, samples: int = 3
+        self,
+        pose: Pose | None = None,
+        name: str | None = None,
+        resolution: int = _POSED_PX,
+        samples: int = _POSED_SAMPLES,
     ) -> FloatArray:
         """What a view's eye sees when sheet, lens and eye do not lie as designed, through the lens as it is made.
 
@@ -214,17 +226,22 @@ class OpenRun:
         Raises:
             InputError: There is no such view.
         """
-        from magiclens.rendering.poses import Pose, PosedLens
+        from magiclens.rendering.poses import Pose
 
         place = self.scene.views.index(self.view(name))
+        return self._posed(resolution, samples).picture(self.lit_scene.views[place], pose or Pose())
+
+    def _posed(self, resolution: int, samples: int) -> PosedLens:
+        """The lens to be seen in any pose, which is kept: a sheet that is moved below it needs no other rays."""
+        from magiclens.rendering.poses import PosedLens
+
         kept = (resolution, samples)
-        if kept not in self._posed:
-            self._posed[kept] = PosedLens(self._body, self.scene.lens, resolution, samples)
-        return self._posed[kept].picture(self.lit_scene.views[place], pose or Pose())
+        if kept not in self._posed_lenses:
+            self._posed_lenses[kept] = PosedLens(self._body, self.scene.lens, resolution, samples)
+        return self._posed_lenses[kept]
 
     @cached_property
-    def _posed(self) -> dict[tuple[int, int], PosedLens]:
-        """By resolution and samples: a sheet that is moved below the lens needs no other rays."""
+    def _posed_lenses(self) -> dict[tuple[int, int], PosedLens]:
         return {}
 
     @cached_property

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -11,9 +12,10 @@ from typing import Any, TypeVar
 from magiclens.cache.store import Cache, new_entry, usual_cache
 from magiclens.config.document import document_of
 from magiclens.config.fields import Inputs
-from magiclens.config.model import Spec
+from magiclens.config.model import LISTED_STAGES, Spec
 from magiclens.contract.artifacts import FloatArray
 from magiclens.contract.result import RunResult
+from magiclens.contract.stages import Stage
 from magiclens.plan.compile import Plan, compile_plan, load_plan
 from magiclens.plan.registry import Registry
 from magiclens.running.answers import Questions
@@ -86,6 +88,7 @@ def run(
     out_dir: str | Path | None = None,
     overrides: Iterable[str] = (),
     observer: Observer | None = None,
+    stages: Iterable[Stage] = (),
 ) -> Run:
     """Run a spec from Python.
 
@@ -95,16 +98,30 @@ def run(
         out_dir: The run folder; ``out/<name>`` by default.
         overrides: ``key.path=value`` texts that are laid over the spec, as ``--set`` does.
         observer: Is told about progress; None prints notices only.
+        stages: Such as ``[MyAnnealer(rounds=5)]``: they take the place of the spec's stages of their kinds. Their
+            classes need no plugin; a run folder whose stages come from none cannot be opened again.
 
     Raises:
         InputError: The spec is wrong, or asks for what cannot be.
         StageError: A stage failed or broke its contract.
     """
+    given, registry = list(stages), Registry.load()
+    registry.lend(map(type, given))
+    wished = [*overrides, *_choosing(given)]
     if isinstance(spec, str | Path):
-        return run_spec(spec, out_dir, overrides, observer)
-    data = spec.model_dump(mode="json", exclude_none=True) if isinstance(spec, Spec) else spec
-    plan = compile_plan(document_of(data, overrides), Registry.load())
+        plan = load_plan(spec, wished, registry)
+    else:
+        data = spec.model_dump(mode="json", exclude_none=True) if isinstance(spec, Spec) else spec
+        plan = compile_plan(document_of(data, wished), registry)
     return run_plan(plan, out_dir or Path("out", plan.spec.name), observer)
+
+
+def _choosing(stages: Sequence[Stage]) -> Iterator[str]:
+    """The texts by which ``--set`` would choose these stages."""
+    lists = {kind: key for key, kind in LISTED_STAGES.items()}
+    for kind in dict.fromkeys(stage.kind for stage in stages):
+        choices = [{"type": s.type, **s.model_dump(mode="json")} for s in stages if s.kind == kind]
+        yield f"pipeline.{lists.get(kind, kind)}={json.dumps(choices if kind in lists else choices[-1])}"
 
 
 def run_spec(
