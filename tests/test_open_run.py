@@ -88,14 +88,13 @@ def test_a_lens_is_seen_in_any_pose(run: Run) -> None:
     assert designed > near > far + 3
 
 
-@pytest.mark.parametrize("pose", [Pose(), Pose(shift_x_mm=0.3, eye_y_mm=4.0), Pose(rotation_deg=0.5, tilt_x_deg=0.4)])
 @pytest.mark.parametrize("turn", [0.0, 90.0])
-def test_the_matrix_of_a_pose_gives_the_picture_of_that_pose(turn: float, pose: Pose, run: Run) -> None:
+def test_the_matrix_of_a_pose_gives_the_picture_of_that_pose(turn: float, run: Run) -> None:
     """Also of a lens that is turned on its sheet: the picture turns with it, the sheet does not."""
     first = open_run(run.folder)
     views = tuple(replace(view, rotation_deg=turn) for view in first.scene.views)
     lens = replace(first, scene=replace(first.scene, views=views))
-    source = lens.lit_scene.views[0].source
+    source, pose = lens.lit_scene.views[0].source, Pose(0.3, -0.1, 0.5, tilt_x_deg=0.4, eye_y_mm=4.0)
     np.testing.assert_allclose(lens.transport(pose=pose).see(source), lens.seen(pose), atol=2e-3)
 
 
