@@ -333,6 +333,26 @@ def test_every_link_and_picture_leads_somewhere(site: Path) -> None:
 
 
 @pytest.mark.tools
+def test_the_documentation_alone_is_a_site_without_dead_links(tmp_path: Path) -> None:
+    words = ["docs", str(ROOT / "gallery" / "gallery.yaml"), "--out", str(tmp_path / "docs")]
+    for _ in range(2):  # the second time over the first
+        done = CliRunner().invoke(app, words)
+        assert done.exit_code == 0, done.output
+    # Markdown files of the repository are copied as they are, so they have headings, and no anchors
+    assert [link for link in broken_links(tmp_path / "docs") if ".md#" not in link] == []
+    assert (tmp_path / "docs" / "docs" / "how-to" / "print.html").is_file()
+    assert not (tmp_path / "docs" / "runs").exists()
+
+
+def test_the_documentation_alone_never_takes_the_place_of_lenses(tmp_path: Path) -> None:
+    (tmp_path / "gallery" / "runs" / "lens").mkdir(parents=True)
+    done = CliRunner().invoke(app, ["docs", "--out", str(tmp_path / "gallery")])
+    assert done.exit_code == 2
+    assert "is a gallery with lenses" in done.stderr
+    assert (tmp_path / "gallery" / "runs" / "lens").is_dir()
+
+
+@pytest.mark.tools
 def test_the_reference_has_everything_that_is_installed(site: Path) -> None:
     def text(page: str) -> str:
         return (site / "docs" / "reference" / f"{page}.html").read_text(encoding="utf-8")

@@ -38,6 +38,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "schema": plugins.schema_command,
     "sweep": many.sweep_command,
     "gallery": many.gallery_command,
+    "docs": many.docs_command,
     "encode": lens.encode_command,
     "decode": lens.decode_command,
     "preflight": lens.preflight_command,

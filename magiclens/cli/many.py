@@ -1,10 +1,10 @@
-"""The commands that make many lenses, with an executor: ``mlens sweep`` and ``mlens gallery``."""
+"""The commands that make many lenses, with an executor, or many pages: ``mlens sweep``, ``gallery`` and ``docs``."""
 
 from __future__ import annotations
 
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -33,6 +33,10 @@ _SweptSettings = Annotated[
         help="Values to try, such as lens.facets=16,32,64; again for more keys. [a, b] is one value.",
     ),
 ]
+
+
+_GalleryList = Annotated[Path, typer.Argument(metavar="[LIST]", help="The gallery's list, a YAML file.")]
+_LIST = Path("gallery", "gallery.yaml")
 
 
 def sweep_command(
@@ -68,9 +72,7 @@ def sweep_command(
 
 def gallery_command(
     executor_settings: ExecutorSettings,
-    listed: Annotated[Path, typer.Argument(metavar="[LIST]", help="The gallery's list, a YAML file.")] = Path(
-        "gallery", "gallery.yaml"
-    ),
+    listed: _GalleryList = _LIST,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="The site's folder.")] = Path("out", "gallery"),
     small: Annotated[bool, typer.Option("--quick", help="Smaller lenses, as the list says.")] = False,
     published: Annotated[
@@ -96,9 +98,27 @@ def gallery_command(
             check_place(published)
         end_on_sigterm()
         worker, registry = chosen_executor(executor, executor_settings)
-        # the site's reference documents all commands, and so it needs them as typer has built them
-        table = import_module("magiclens.cli").app  # which imports this file
-        commands = vars(typer.main.get_command(table))["commands"]
-        build_gallery(listed, out, worker, registry, commands, small, print_no_note if quiet else print_note)
+        build_gallery(listed, out, worker, registry, _all_commands(), small, print_no_note if quiet else print_note)
         if published:
             publish_gallery(out, published)
+
+
+def docs_command(
+    listed: _GalleryList = _LIST,
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="The site's folder.")] = Path("out", "docs"),
+    quiet: Quiet = False,
+    traceback: Traceback = False,
+) -> None:
+    """Build the documentation on LIST alone as a static site, in seconds; no lens is made."""
+    with reporting(traceback):
+        from magiclens.plan.registry import Registry
+        from magiclens.web.gallery.build import build_docs
+
+        build_docs(listed, out, Registry.load(), _all_commands(), print_no_note if quiet else print_note)
+
+
+def _all_commands() -> dict[str, Any]:
+    """All commands, as typer has built them: the reference of a site documents them."""
+    table = import_module("magiclens.cli").app  # which imports this file
+    commands: dict[str, Any] = vars(typer.main.get_command(table))["commands"]
+    return commands

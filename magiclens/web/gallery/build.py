@@ -9,7 +9,7 @@ from pathlib import Path
 
 import magiclens
 from magiclens.contract.errors import InputError
-from magiclens.contract.executors import Executor
+from magiclens.contract.executors import Executor, Serial
 from magiclens.pages.templating import template_text
 from magiclens.plan.registry import Registry
 from magiclens.running.jobs import RunJob
@@ -26,6 +26,8 @@ from magiclens.web.gallery.viewers import viewer_fragments
 
 _LIST_FILE = "gallery.json"
 """The list for programs; a folder with this file is known to be a gallery."""
+_RUNS = "runs"
+"""The folder with a run folder for each lens."""
 _OWN_FOLDERS = ("lenses", "pictures", DOCS_FOLDER)
 """Folders of the site from which files of older builds are removed."""
 _ASSETS = {
@@ -58,13 +60,37 @@ def build_gallery(
     Raises:
         InputError: The list, a spec or a page of documentation is wrong.
     """
-    gallery = load_gallery(path)
+    _build(load_gallery(path), out, executor, registry, commands, quick, say)
+
+
+def build_docs(path: Path, out: Path, registry: Registry, commands: Commands, say: Callable[[str], None]) -> None:
+    """Write the documentation of a list alone, with the pictures that are in its folders; no lens is made.
+
+    Arguments and errors are those of ``build_gallery``; ``out`` must not be a gallery with lenses.
+    """
+    if (out / _RUNS).is_dir():
+        raise InputError(f"'{out}' is a gallery with lenses, which would be lost; choose another --out", "--out")
+    bare = load_gallery(path).model_copy(update={"entries": [], "hero": None})
+    _build(bare, out, Serial(), registry, commands, False, say)
+
+
+def _build(
+    gallery: GalleryList,
+    out: Path,
+    executor: Executor,
+    registry: Registry,
+    commands: Commands,
+    quick: bool,
+    say: Callable[[str], None],
+) -> None:
+    """Write a site; arguments are those of ``build_gallery``."""
     _claim(out)
-    runs = {entry.name: out / "runs" / entry.name for entry in gallery.entries}
+    runs = {entry.name: out / _RUNS / entry.name for entry in gallery.entries}
     jobs = [
         RunJob(str(entry.spec), entry.overrides(quick), str(runs[entry.name].absolute())) for entry in gallery.entries
     ]
-    refresh_runs(jobs, executor, registry, say)
+    if jobs:
+        refresh_runs(jobs, executor, registry, say)
     album, shown = Album(out), viewer_fragments(runs, out, executor)
     lenses = [lens_page(entry, runs[entry.name], shown[entry.name], album, quick) for entry in gallery.entries]
     library = Library(out, album, doc_paths([page for section in gallery.docs for page in section.pages]), runs)
@@ -126,7 +152,7 @@ def _write(path: Path, text: str) -> None:
 def _tidy(out: Path, kept: set[str], runs: Iterable[Path]) -> None:
     """Remove pages, pictures and runs that the list no longer has."""
     ours = {run.name for run in runs}
-    for folder in (out / "runs").iterdir():
+    for folder in (out / _RUNS).glob("*"):
         if folder.name not in ours:
             shutil.rmtree(folder)
     # in reverse order a folder comes after the files in it
