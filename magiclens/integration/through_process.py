@@ -289,7 +289,7 @@ def _times(cells: int, pitch: float, process: LinearProcess) -> int:
     from scipy.fft import next_fast_len
 
     wanted = math.ceil(pitch / process.finest_mm) if process.finest_mm > 0 else 1
-    times = max(1, min(next_fast_len(wanted, real=True), _MOST_NODES // cells))
+    times = int(max(1, min(next_fast_len(wanted, real=True), _MOST_NODES // cells)))
     while next_fast_len(times, real=True) > times:
         times -= 1
     return times
