@@ -181,12 +181,12 @@ def test_a_machine_sets_material_facets_and_files(
     assert plan.lens.cells == "vertical"
     assert plan.lens.ior != pytest.approx(1.49)  # a resin, not acrylic
     assert [step.stage.type for step in plan.exporters] == files
-    assert plan.lens.mark
+    assert plan.lens.mark == (machine == "sla")  # where layers are written, it would make each another one
 
 
 @pytest.mark.parametrize(
     ("machine", "jig", "mark"),
-    [(None, False, False), (None, True, True), ("sla", True, True), ("egx-600", True, False)],
+    [(None, False, False), (None, True, True), ("lcd-12k", True, True), ("egx-600", True, False)],
 )
 def test_a_lens_for_a_jig_is_marked_unless_a_mill_makes_it(
     machine: str | None, jig: bool, mark: bool, panda: Path, tmp_path: Path

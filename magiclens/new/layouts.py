@@ -17,6 +17,8 @@ Place = Literal["table", "hand", "wall"]
 _DISTANCES: dict[Place, str] = {"table": "400mm", "hand": "400mm", "wall": "1500mm"}
 """Usual distances from the lens to the eye."""
 
+_LAYERED = {"slices", "sl1"}
+"""Exporters of layers."""
 _STEADY = 2
 """How many times wider facets are in a hand or on a wall, where things lie a millimetre off."""
 
@@ -59,10 +61,15 @@ class Request:
 
     @property
     def marked(self) -> bool:
-        """Whether the lens tells which side is up: where it is printed, or has a jig to fit."""
+        """Whether the lens tells which side is up: where it is printed from a mesh, or has a jig to fit.
+
+        A mark that tapers makes every layer another one, and an archive of layers takes several times as long.
+        """
         if self.machine is None:
             return self.jig
-        return isinstance(machines()[self.machine].machine(), Printer)
+        profile = machines()[self.machine]
+        printed = isinstance(profile.machine(), Printer)
+        return printed and (self.jig or not _LAYERED & {*profile.files})
 
     def steady(self, facets: int, why: str) -> tuple[int, str]:
         """How many facets, and why, where the lens is used."""
