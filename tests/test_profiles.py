@@ -231,6 +231,13 @@ def test_facets_follow_from_what_the_process_rounds(load: Loader) -> None:
     assert milled.pitch_mm > 2.0  # the smallest facet that this mill makes
 
 
+def test_a_mistake_of_the_machine_is_the_only_one_where_it_would_choose_the_facets(load: Loader) -> None:
+    both = "fabrication={machine: sla, lacquer: {film: 20um, wavelength: 1mm}}"
+    with pytest.raises(InputError, match=r"fabrication.lacquer: needs either") as caught:
+        load(both, "lens.facets=auto")
+    assert not caught.value.others
+
+
 def test_auto_facets_need_a_machine(load: Loader) -> None:
     with pytest.raises(InputError, match=r"lens.facets: auto needs fabrication.machine"):
         load("fabrication=null", "lens.facets=auto")

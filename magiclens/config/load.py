@@ -9,7 +9,7 @@ from typing import Any
 from magiclens.config.checker import Checker
 from magiclens.config.document import Document, read_document
 from magiclens.config.fabrication import Fabrication, find_fabrication
-from magiclens.config.model import Spec
+from magiclens.config.model import AUTO, Spec
 
 
 def load_spec(path: str | Path, overrides: Iterable[str] = ()) -> Spec:
@@ -48,8 +48,10 @@ def check_spec(
     lens = data.get("lens") or {}
     if fabrication and isinstance(lens, dict):
         data["lens"] = fabrication.lens(lens)
-    elif isinstance(lens, dict) and not lens.keys() & usual.keys():
-        data["lens"] = {**usual, **lens}
+    elif isinstance(lens, dict):
+        if document.data.get("fabrication"):  # its mistake is noted, and leaves open how many facets suit the machine
+            lens = {key: value for key, value in lens.items() if value != AUTO}
+        data["lens"] = {**usual, **lens} if not lens.keys() & usual.keys() else lens
     spec = checker.validate(Spec, data)
     for key, objection in fabrication.objections(spec.lens) if fabrication and spec else ():
         checker.add(("lens", key), objection)
