@@ -9,6 +9,7 @@ from pydantic import Field
 
 from magiclens.contract.artifacts import Assignment, Candidates, FloatArray, IntArray, Scene
 from magiclens.contract.stages import Annealer, Progress, silent
+from magiclens.kernels.resuming import resumable
 
 _COLD_SWEEPS = 10
 """Number of sweeps at temperature 0 after the cooling, which bring every facet to its nearest minimum."""
@@ -54,7 +55,7 @@ class HeatBath(Annealer):
         # The start, which the result must not be worse than: every facet's best candidate, at its best height.
         first, first_levels = errors.argmin(axis=-1), np.zeros((n, n))
         only_first = np.where(np.arange(errors.shape[-1]) == first[..., None], errors, np.inf)
-        for _ in range(self.sweeps):
+        for _ in resumable(range(self.sweeps), first, first_levels):
             if not _sweep(first, first_levels, only_first, edges, terms, relief, 0.0, np.zeros((n, n))):
                 break
         before = float(total_energy(first, first_levels, errors, edges, terms).sum())
@@ -62,13 +63,16 @@ class HeatBath(Annealer):
         choice, levels = first.copy(), first_levels.copy()
         falling = self.temperature * (1 - np.arange(self.sweeps) / self.sweeps) ** 2
         temperatures = np.concatenate([falling, np.zeros(_COLD_SWEEPS)])
+        dice = enumerate(rng.random((n, n)) for _ in temperatures)
         settled = False
-        for done, temperature in enumerate(temperatures):
-            dice = rng.random((n, n))  # drawn even if not used, for whoever draws next
+        for done, temperature in resumable(list(enumerate(temperatures)), choice, levels):
             if not settled:
-                moved = _sweep(choice, levels, errors, edges, terms, relief, temperature, dice)
+                chance = next(drawn for number, drawn in dice if number == done)
+                moved = _sweep(choice, levels, errors, edges, terms, relief, temperature, chance)
                 settled = temperature == 0 and not moved
             progress((done + 1) / len(temperatures))
+        for _ in dice:  # drawn even if not used, for whoever draws next
+            pass
         after = float(total_energy(choice, levels, errors, edges, terms).sum())
         if after > before:
             choice, levels, after = first, first_levels, before

@@ -177,6 +177,11 @@ class Cache:
                 everything: dict[str, Any] = {_HEADER: header, **arrays}
                 np.savez(stream, **everything)
 
+    def remove(self, key: str) -> None:
+        """Remove an entry that nobody needs any more; no error if there is none, or if it cannot be removed."""
+        with suppress(OSError):
+            self._entry_path(key).unlink()
+
     def entries(self) -> Iterator[Entry]:
         """All entries that can be read, those used last first."""
         for kept in reversed(self._kept(_ENTRIES)):

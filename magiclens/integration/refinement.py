@@ -19,6 +19,7 @@ from magiclens.images import resize, to_display
 from magiclens.integration.laplacian import cosines
 from magiclens.integration.refinement_kernels import Descent, Metric, Pictures, Samples, refine_facets
 from magiclens.integration.surface_metrics import surface_metrics
+from magiclens.kernels.resuming import resumable
 from magiclens.optics.medium import Cut, Optics, optics_of
 
 _BLURS = (0.08, 0.03, 0.0)
@@ -132,7 +133,7 @@ class _Facets:
         pictures, samples = blurred(self._pictures, blur * self._lens.pitch_mm), self._samples[look_ups]
         descent = Descent(rounds, _ITERATIONS, _ENOUGH)
         errors = np.full(len(self.heights), np.inf)
-        for first in range(0, len(self._imperfect), _AT_ONCE):
+        for first in resumable(range(0, len(self._imperfect), _AT_ONCE), self.heights, errors):
             part = self._imperfect[first : first + _AT_ONCE]
             heights, after = self.heights[part], np.zeros(len(part))
             refine_facets(heights, self._centres[part], samples, pictures, self._optics, self._metric, descent, after)

@@ -36,6 +36,7 @@ from magiclens.integration.through_process_kernels import (
     raster_slopes_transposed,
     shown,
 )
+from magiclens.kernels.resuming import resumable
 from magiclens.processes.linear import LinearProcess, filtered, raster_wavenumbers
 from magiclens.processes.linear_kernels import spread_evenly
 
@@ -181,13 +182,19 @@ class WholeTop:
         Returns:
             Heights whose error, with blurred sources, is not higher.
         """
-        pictures, raster = blurred(self.pictures, blur_mm), self.raster
+        pictures, raster, heights = blurred(self.pictures, blur_mm), self.raster, heights.copy()
         residuals = self.show(heights, pictures)
         error, scale = _mean_square(residuals), float(np.vdot(self.gradients, self.gradients))
         scale /= (raster.blocks * self._block) ** 2
         damping = np.full((raster.blocks,) * 2, first_damping * scale, np.float32)
-        little = 0
-        for step in range(steps):
+        little = np.zeros((), np.int64)  # steps in turn that each gained little
+        at_hand = 0  # the step for which there are residuals and gradients
+        for step in resumable(range(steps), heights, damping, little):
+            if little == 2:
+                continue
+            if step > at_hand:  # a run that was killed goes on here
+                residuals = self.show(heights, pictures)
+                error = _mean_square(residuals)
             change = self._step(residuals, damping, _LEAST_PULL * scale)
             trial = self._allowed(heights + change)
             after = self.show(trial, pictures)
@@ -195,14 +202,13 @@ class WholeTop:
             damping *= np.where(now > was, _WORSE, np.where(now < 0.9 * was, _BETTER, 1.0)).astype(np.float32)
             trial_error = _mean_square(after)
             if trial_error < error:
-                little = little + 1 if trial_error > (1 - ENOUGH) * error else 0
-                heights, residuals, error = trial, after, trial_error
+                little[...] = little + 1 if trial_error > (1 - ENOUGH) * error else 0
+                heights[...], residuals, error = trial, after, trial_error
             else:
                 damping *= _WORSE
                 self.show(heights, pictures)  # for its gradients
+            at_hand = step + 1
             progress((step + 1) / steps)
-            if little == 2:
-                break
         return heights
 
     def show(self, heights: FloatArray, pictures: Pictures) -> FloatArray:

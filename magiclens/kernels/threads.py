@@ -26,20 +26,21 @@ class LoopPart(NamedTuple):
     end: int
 
 
-def in_threads(kernel: Callable[..., None], count: int, *arguments: Any) -> None:
+def in_threads(kernel: Callable[..., None], indices: int | range, *arguments: Any) -> None:
     """Call a kernel for consecutive parts of a loop, in as many threads as numba would use; this one is one of them.
 
     Args:
         kernel: Compiled with ``nogil``; takes a ``LoopPart`` and the arguments. For each index it must write to
             elements that no other index writes to, so that the result does not depend on how the loop is divided.
-        count: Number of indices of the loop.
+        indices: Of the loop: all below a number, or those of a range without gaps.
         arguments: The same for every part.
     """
     from numba import get_num_threads
 
     threads: int = get_num_threads()
+    start, count = (0, indices) if isinstance(indices, int) else (indices.start, len(indices))
     parts = min(count, _PARTS_PER_THREAD * threads if threads > 1 else 1)
-    edges = [k * count // max(parts, 1) for k in range(parts + 1)]
+    edges = [start + k * count // max(parts, 1) for k in range(parts + 1)]
     left = iter([LoopPart(first, end) for first, end in pairwise(edges)])
 
     def work() -> None:

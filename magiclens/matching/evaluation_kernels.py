@@ -13,6 +13,7 @@ import numpy as np
 
 from magiclens.contract.artifacts import FloatArray
 from magiclens.kernels.compiler import njit
+from magiclens.kernels.resuming import blocks, resumable
 from magiclens.kernels.sampling import blend, clamped_cell
 from magiclens.kernels.threads import in_threads
 from magiclens.matching.reachability_kernels import distance_term
@@ -95,4 +96,5 @@ def evaluate(tiles: Tiles, source: FloatArray, per_mm: float, stairs: Staircase,
         window: the search window.
         found: the candidates; their errors are updated in place.
     """
-    in_threads(_evaluate_part, len(tiles.centres), tiles, source, per_mm, stairs, window, found)
+    for block in resumable(blocks(len(tiles.centres)), *found):
+        in_threads(_evaluate_part, block, tiles, source, per_mm, stairs, window, found)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import itertools
 import math
+from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
 
-from magiclens.contract.artifacts import Candidates, Scene
+from magiclens.contract.artifacts import Candidates, FloatArray, Scene
 from magiclens.contract.stages import Matcher, Progress, silent
+from magiclens.kernels.resuming import resumable
 from magiclens.matching.channels import Channels, stack_channels
 from magiclens.matching.grain import seen_grain
 from magiclens.matching.options import LatticeOptions
@@ -88,16 +90,19 @@ def search_all(
     blocks = values.reshape(*values.shape[:2], per_side, BLOCK_PIXELS, per_side, BLOCK_PIXELS).mean(axis=(3, 5))
     scales = [s for s in resolved_scales(options.scales, px, channels.source_px_mm) if s * px < size]
     pairs = [(s, s) for s in scales] if options.isotropic else list(itertools.product(scales, repeat=2))
-    for done, (sx, group) in enumerate(itertools.groupby(pairs, key=lambda p: p[0])):
+
+    @lru_cache(maxsize=1)
+    def columns(sx: float) -> tuple[rasters.RasterAxis, FloatArray]:
         x = rasters.raster_axis(sx, px, window.step, size)
-        columns = average_columns(source, *rasters.footprints(x, sx * px + grain, size, source.shape[2]))
-        for _, sy in group:
-            y = rasters.raster_axis(sy, px, window.step, size)
-            taps = rasters.footprints(y, sy * px + grain, size, source.shape[1])
-            built = rasters.build_raster(columns, *taps, x, y, options.pixels)
-            raster = rasters.Raster(*built, sx, sy, x.spacing_mm, y.spacing_mm, x.count, y.count, x.skip, y.skip)
-            search(tiles, blocks, raster, window, not options.isotropic, optics, pool.found)
-        progress((done + 1) / len(scales))
+        return x, average_columns(source, *rasters.footprints(x, sx * px + grain, size, source.shape[2]))
+
+    for done, (sx, sy) in resumable(list(enumerate(pairs)), *pool.found):
+        (x, averages), y = columns(sx), rasters.raster_axis(sy, px, window.step, size)
+        taps = rasters.footprints(y, sy * px + grain, size, source.shape[1])
+        built = rasters.build_raster(averages, *taps, x, y, options.pixels)
+        raster = rasters.Raster(*built, sx, sy, x.spacing_mm, y.spacing_mm, x.count, y.count, x.skip, y.skip)
+        search(tiles, blocks, raster, window, not options.isotropic, optics, pool.found)
+        progress((done + 1) / len(pairs))
 
 
 def resolved_scales(scales: tuple[float, ...], px: float, source_px: float) -> tuple[float, ...]:

@@ -14,6 +14,7 @@ import numpy as np
 
 from magiclens.contract.artifacts import FloatArray, IntArray
 from magiclens.kernels.compiler import njit
+from magiclens.kernels.resuming import blocks, resumable
 from magiclens.kernels.sampling import bilinear, blend, clamped_cell
 from magiclens.kernels.threads import in_threads
 from magiclens.matching.evaluation_kernels import LOOK_UPS, Staircase
@@ -214,7 +215,8 @@ def search_views(views: Views, facets: Facets, trials: Trials, window: Window, o
         optics: ``Optics`` in the image frame.
         found: the best of each bucket so far, updated in place.
     """
-    in_threads(_search_views_part, len(facets.centres), views, facets, trials, window, optics, found)
+    for block in resumable(blocks(len(facets.centres)), *found):
+        in_threads(_search_views_part, block, views, facets, trials, window, optics, found)
 
 
 @njit(cache=True)
@@ -356,7 +358,8 @@ def polish_views(
         found: the candidates, updated in place.
     """
     polishing = (levels, pixels, rule)
-    in_threads(_polish_views_part, len(facets.centres), views, facets, polishing, window, optics, found)
+    for block in resumable(blocks(len(facets.centres)), *found):
+        in_threads(_polish_views_part, block, views, facets, polishing, window, optics, found)
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc", "arcp"})
@@ -446,4 +449,5 @@ def evaluate_views(
         found: the candidates; their errors are updated in place.
     """
     shown = (sources, pixels, stairs)
-    in_threads(_evaluate_views_part, len(facets.centres), views, facets, shown, window, optics, found)
+    for block in resumable(blocks(len(facets.centres)), *found):
+        in_threads(_evaluate_views_part, block, views, facets, shown, window, optics, found)

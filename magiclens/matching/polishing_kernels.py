@@ -13,6 +13,7 @@ import numpy as np
 from magiclens.contract.artifacts import FloatArray
 from magiclens.kernels.cholesky import solve_damped
 from magiclens.kernels.compiler import njit
+from magiclens.kernels.resuming import blocks, resumable
 from magiclens.kernels.sampling import clamped_cell
 from magiclens.kernels.threads import in_threads
 from magiclens.matching.reachability_kernels import distance_term, reachable
@@ -202,7 +203,8 @@ def polish(
         optics: ``Optics`` in the image frame.
         found: the candidates, updated in place.
     """
-    in_threads(_polish_part, len(tiles.centres), tiles, levels, per_mm, window, rule, optics, found)
+    for block in resumable(blocks(len(tiles.centres)), *found):
+        in_threads(_polish_part, block, tiles, levels, per_mm, window, rule, optics, found)
 
 
 @njit(cache=True, nogil=True)

@@ -18,6 +18,7 @@ from pydantic import Field, field_validator
 
 from magiclens.contract.artifacts import FloatArray, Lens, Scene, Solid, View
 from magiclens.contract.stages import Progress, Renderer, silent
+from magiclens.kernels.resuming import resumable
 
 SMALLEST_GAP_MM = 0.05
 """Smallest distance of the source from the slab's bottom, mm: Mitsuba's ray epsilon skips one that is closer."""
@@ -62,13 +63,13 @@ class Mitsuba(Renderer):
 
         mi.set_variant(usable_variant(self.variant))
         lens = self._lens(solid, scene.lens.ior)
-        pictures = []
-        for index, view in enumerate(scene.views):
+        pictures = np.zeros((len(scene.views), self.resolution, self.resolution, 3), np.float32)
+        for index, view in resumable(list(enumerate(scene.views)), pictures):
             world = mi.load_dict(self._world(scene.lens, lens, view))
-            picture = np.asarray(mi.render(world, seed=mi.UInt32(self.seed + index)), np.float32)
-            pictures.append(np.ascontiguousarray(picture[..., : view.source.shape[-1]]))
+            pictures[index] = np.asarray(mi.render(world, seed=mi.UInt32(self.seed + index)))
             progress((index + 1) / len(scene.views))
-        return pictures
+        wanted = [view.source.shape[-1] for view in scene.views]
+        return [np.ascontiguousarray(picture[..., :c]) for picture, c in zip(pictures, wanted, strict=True)]
 
     def _lens(self, solid: Solid, ior: float) -> Any:
         """The mesh, with the vertices that an STL file holds; without vertex normals its faces are flat."""

@@ -18,10 +18,12 @@ from typing import Any, TypeVar
 import numpy as np
 
 from magiclens.cache.store import Cache, Damaged, new_entry
+from magiclens.cache.unfinished import Unfinished
 from magiclens.cache.values import NotPlain, borrowed, settled
 from magiclens.contract.artifacts import Scene, Solid
 from magiclens.contract.checks import BadArtifact, check_file
 from magiclens.contract.stages import Exporter, Progress
+from magiclens.kernels.resuming import going_through_loops_by
 from magiclens.plan.blame import Blamed, blaming, locating
 from magiclens.plan.compile import Plan, Step
 from magiclens.running.ingredients import (
@@ -221,11 +223,14 @@ class Steps:
         def make(rng: np.random.Generator | None) -> Any:
             values = [each.value for each in inputs.values()]  # first: they may have to be made themselves
             began = perf_counter()
-            result = settled(work(rng, *values))
-            if cache and made_of:
+            unfinished = Unfinished(cache, key, name, self._observer.notice) if cache and key else None
+            with going_through_loops_by(unfinished.loop if unfinished else None):
+                result = settled(work(rng, *values))
+            if cache and made_of and unfinished:
                 entry = new_entry(name, made_of, perf_counter() - began, rng=generator_state(rng) if rng else None)
                 with suppress(NotPlain):  # a plugin's artifact of a class of its own is made every time
                     cache.keep(entry, result, values)
+                unfinished.forget()
             return result
 
         entry = cache.find(key) if cache and key else None
