@@ -67,7 +67,7 @@ class Folder:
 
 
 FOLDERS = {
-    "optics": Folder(0.91, ["test_optics.py", "test_eyes.py"], compiled=False, slowest_s=4),
+    "optics": Folder(0.91, ["test_optics.py", "test_eyes.py", "test_few_facets.py"], compiled=False, slowest_s=4),
     "matching": Folder(
         0.86, ["test_matching.py", "test_darts.py", "test_multi_view.py", "test_scenarios.py", "test_secrecy.py"]
     ),

@@ -12,11 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq, minimize_scalar
 
-from magiclens.contract.artifacts import FloatArray, Scene
+from magiclens.contract.artifacts import FloatArray, Lens, Scene
 from magiclens.geometry.facets import EDGE_POINTS, central_slopes, cost_of_lost_light, edge_models
+from magiclens.integration.orientation_kernels import rises_along_edges
+from magiclens.integration.poisson import lenslets
 from magiclens.optics.eyes import surface_point
-from magiclens.optics.lenslets import shape_drifts
-from magiclens.optics.medium import Cut, Slab
+from magiclens.optics.lenslets import shape_drifts, tallest
+from magiclens.optics.medium import Cut, Slab, optics_of
 from magiclens.optics.refraction import facet_normal, refract, sine_in_slab, transmittance
 from magiclens.optics.walls import (
     DOWN,
@@ -445,3 +447,22 @@ def test_the_lens_frame_turns_against_the_lens() -> None:
     half = replace(view, rotation_deg=180.0).in_lens_frame()
     np.testing.assert_allclose(half.eye_mm, (-70.0, 0.0, 300.0))
     assert half.source[2, 0, 0] == 1.0
+
+
+@pytest.mark.parametrize("vertical", [False, True])
+@pytest.mark.parametrize("gap", [0.0, 20.0])
+def test_nine_points_tell_how_tall_a_small_lenslet_is_when_it_is_integrated(vertical: bool, gap: float) -> None:
+    rng, m = np.random.default_rng(1), 12
+    lens = Lens(size_mm=4.0, source_size_mm=60.0, facets=2, microfacets=m, thickness_mm=40.0, gap_mm=gap, wall_mm=1e-6)
+    optics, centres = optics_of(lens, Cut(np.array([20.0, -30.0, 440.0]), vertical)), lens.facet_centres_mm()
+    centres, offsets = centres.reshape(-1, 2), rng.uniform(-4, 4, (4, 2))
+    maps = rng.uniform(-1, 1, (4, 3)) * (1.2, 0.5, 1.2)
+    heights = np.zeros((4, m + 1, m + 1))
+    for _ in range(4):
+        rows, columns, held = rises_along_edges(heights, centres, offsets, maps, lens.pitch_mm, optics)
+        assert not held.any()
+        heights = lenslets(rows, columns)
+    weights = np.concatenate([[0.5], np.ones(m - 1), [0.5]]) / m
+    heights -= (weights @ heights @ weights)[:, None, None]  # of zero mean over the area
+    told = [tallest(centres[f], offsets[f], maps[f], lens.pitch_mm / 2, optics) for f in range(4)]
+    np.testing.assert_allclose(np.abs(heights).max(axis=(1, 2)), told, rtol=0.003)

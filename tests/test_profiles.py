@@ -330,6 +330,7 @@ def test_a_resolved_spec_has_the_machine_with_every_option_and_gives_the_same_pl
     resolved = plan.resolved()
     assert resolved["fabrication"]["machine"] == "milling"
     assert (resolved["fabrication"]["tip"], resolved["fabrication"]["reach"]) == ("0.1mm", "20mm")
+    assert None not in resolved["fabrication"].values()  # what the machine does not have is left out
     YAML().dump(resolved, tmp_path / "again.yaml")
     again = load_plan(tmp_path / "again.yaml")
     assert (again.resolved(), again.lens, again.fabrication) == (resolved, plan.lens, plan.fabrication)

@@ -401,6 +401,7 @@ def test_overrides_change_values(
         ("lens.facets.x=1", "--set lens.facets.x=1: 'lens.facets' is a number, it has no 'x'"),
         ("lens.facets", "--set lens.facets: write key.path=value, such as lens.facets=64"),
         ("=3", "--set =3: write key.path=value"),
+        ("lens..facets=8", "--set lens..facets=8: write key.path=value"),
         ("lens.gap=[1", "--set lens.gap=[1:1: this is not YAML"),
         ("pipeline.matcher.swepes=3", "pipeline.matcher.swepes: unknown option; did you mean 'sweeps'?"),
     ],
