@@ -24,6 +24,17 @@ def test_every_index_is_done_once(threads: int, count: int, monkeypatch: pytest.
     np.testing.assert_array_equal(out, 2.0 * np.arange(1, count + 1))
 
 
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("indices", [range(0), range(5, 5), range(3, 20), range(990, 1000)])
+def test_of_a_range_only_its_own_indices_are_done(
+    threads: int, indices: range, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("numba.get_num_threads", lambda: threads)
+    out = np.zeros(1000)
+    in_threads(count_up, indices, 2.0, out)
+    np.testing.assert_array_equal(np.flatnonzero(out), list(indices))
+
+
 def test_what_a_part_raises_is_raised() -> None:
     def fail(part: LoopPart) -> None:
         if part.end == 100:
