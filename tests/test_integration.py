@@ -158,9 +158,10 @@ def test_screening_pulls_facets_to_the_reference_plane() -> None:
     assert np.abs(flat).mean() < 0.02 * np.abs(free).mean()
 
 
-def test_row_rises_grow_with_plus_x_and_column_rises_fall_with_plus_y() -> None:
+@pytest.mark.parametrize("wall", [1e-6, 0.2])
+def test_row_rises_grow_with_plus_x_and_column_rises_fall_with_plus_y(wall: float) -> None:
     """A facet that shows what lies at +x and +y of it must rise toward both."""
-    lens = small_lens(2, 1.0, microfacets=3)
+    lens = small_lens(2, 1.0, microfacets=3, wall_mm=wall)
     rows, columns, clamped = edge_rises(
         blank_scene(lens), assigned(np.full((2, 2, 2), 3.0), (1, 0, 1)), np.zeros((2, 2, 4, 4))
     )
@@ -168,7 +169,7 @@ def test_row_rises_grow_with_plus_x_and_column_rises_fall_with_plus_y() -> None:
     assert (columns < 0).all()
     assert (clamped == 0).all()
     # near normal incidence a wedge bends light by (n - 1) times its slope, over n inside
-    assert rows.mean() / (lens.pitch_mm / 3) == pytest.approx(3.0 / THICK * IOR / (IOR - 1), rel=0.05)
+    assert rows.mean() / ((lens.pitch_mm - lens.wall_mm) / 3) == pytest.approx(3.0 / THICK * IOR / (IOR - 1), rel=0.05)
 
 
 @pytest.mark.parametrize(("cells", "eye"), [("eye", ABOVE), ("eye", ASIDE), ("vertical", ASIDE)])

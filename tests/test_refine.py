@@ -16,6 +16,7 @@ from magiclens.contract.artifacts import Assignment, FloatArray, HeightField, Sc
 from magiclens.contract.stages import Progress, silent
 from magiclens.geometry.solid import solid_from_heights
 from magiclens.images import resize, to_display
+from magiclens.integration import refinement
 from magiclens.integration.laplacian import cosines
 from magiclens.integration.poisson import Poisson
 from magiclens.integration.refinement import LOOK_UP_SCHEDULE, optics_for, pictures_of, predicted_errors, samples_of
@@ -197,6 +198,16 @@ def test_progress_ascends_to_the_end(matched: tuple[Scene, HeightField]) -> None
     assert told[0] >= 0
     assert told[-1] == pytest.approx(1.0)
     assert max(np.diff([0.0, *told])) < 0.4
+
+
+def test_progress_never_descends_however_many_parts_there_are(
+    matched: tuple[Scene, HeightField], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(refinement, "_AT_ONCE", 1)
+    told: list[float] = []
+    Poisson(refinement=1).refine(*matched, told.append)
+    assert len(told) > 20
+    assert told == sorted(told)
 
 
 @pytest.mark.parametrize(("facets", "microfacets", "pixels"), [(32, 22, 16), (4, 12, 18), (200, 40, 14)])
