@@ -234,3 +234,10 @@ def test_without_a_stand_there_is_only_the_tray(tmp_path: Path) -> None:
 def test_what_no_jig_can_hold_is_said(lens: Lens, bed: float, words: str) -> None:
     with pytest.raises(InputError, match=words):
         jig_parts(scene_of(lens, (0.0, 150.0, 408.0)), slab(lens, None), replace(SHAPE, bed=bed))
+
+
+def test_a_frame_must_be_wide_enough_on_every_side() -> None:
+    """Under an eye aside the lens's bottom lies off the sheet's middle: on one side a frame would be a millimetre."""
+    eye, lens = (0.0, 150.0, 408.0), replace(LENS, source_size_mm=69.0)
+    with pytest.raises(InputError, match=r"reaches 0\.\d* to 6\.\d* mm beyond .* too little for a frame"):
+        jig_parts(scene_of(lens, eye), slab(lens, eye), replace(SHAPE, stand=False))

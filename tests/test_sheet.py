@@ -212,6 +212,24 @@ def test_labels_stand_in_the_middle_of_a_side_and_have_room_beside_small_sources
     assert 50 < (last[2] - first[0]) / 72 * 25.4 <= 60
 
 
+def test_a_long_label_may_be_as_wide_as_a_large_lens(tmp_path: Path) -> None:
+    lens, name = replace(LENS, size_mm=120.0, source_size_mm=120.0), "a view with a name that is as long as a wide lens"
+    path = written(PrintSheet(), tmp_path, flat(lens), scene_of(view_of(patch(), f"{name}, but no longer"), lens=lens))
+    with pypdfium2.PdfDocument(path) as pdf:
+        text = pdf[0].get_textpage()
+        index, count = text.search(f"lens's top here: {name}, but no longer").get_next()
+        first, last = text.get_charbox(index), text.get_charbox(index + count - 1)
+    assert 80 < (last[2] - first[0]) / 72 * 25.4 <= 120
+
+
+def test_the_outline_is_that_of_the_foot_however_far_the_top_leans_beyond_it() -> None:
+    leaning = flat(LENS, (120.0, 0.0, 88.0))
+    x = leaning.vertices[leaning.vertices[:, 2] == 0, 0]
+    ((left, _, right, _),) = pages(scene_of(), leaning)[0].outlines
+    assert (left, right) == pytest.approx((x.min(), x.max()), abs=1e-5)
+    assert leaning.vertices[:, 0].max() > right + 5
+
+
 LONG = "a view whose name is much too long for the room beside the lens, so that it must be small"
 
 

@@ -233,6 +233,21 @@ def test_grey_tops_of_columns_have_the_height_that_the_table_says(tmp_path: Path
     assert np.abs(heights - plain.sum(axis=0) * facts["layer_mm"]).max() < 2 * facts["layer_mm"]
 
 
+def test_what_ends_in_the_first_layer_is_not_in_the_second(tmp_path: Path) -> None:
+    low, high = box((0, 0, 0), (3, 2, 1)), box((5, 0, 0), (8, 2, 3))
+    pixels, _, _ = stack(together(low, high), tmp_path, **MILLIMETRE, grey={"bits": 3})
+    assert (pixels[:, :, :3] > 0).any(axis=(1, 2)).tolist() == [True, False, False]
+    assert (pixels[:, :, 5:] == 255).all()
+
+
+def test_a_layer_that_differs_from_the_one_below_in_one_grey_voxel_is_written(tmp_path: Path) -> None:
+    wide, pin = box((0, 0, 0), (3, 2, 5)), box((5, 0, 0), (6, 1, 2.5))
+    pixels, _, _ = stack(together(wide, pin), tmp_path, **MILLIMETRE, grey={"bits": 3})
+    assert pixels[:2, -1, 5].tolist() == [255, 255]
+    assert 0 < pixels[2, -1, 5] < 255
+    assert (pixels[3:, -1, 5] == 0).all()
+
+
 def test_grey_slices_are_what_is_simulated(tmp_path: Path) -> None:
     solid = bumpy(None)
     options = {**machines()["lcd-12k"].options, "dpi": (400.0, 250.0), "layer": "60um", "blur": "0mm", "polish": "0mm"}
