@@ -21,9 +21,9 @@ from magiclens.images import to_display, to_linear
 from magiclens.integration.poisson import Poisson
 from magiclens.matching import rasters
 from magiclens.matching.channels import stack_channels
-from magiclens.matching.exhaustive import Exhaustive, search_all
+from magiclens.matching.exhaustive import Exhaustive, resolved_scales, search_all
 from magiclens.matching.multi_view import MultiViewMatcher
-from magiclens.matching.polishing import blur_levels, polished
+from magiclens.matching.polishing import blur_levels, box_blur, polished
 from magiclens.matching.pool import Pool
 from magiclens.matching.raster_kernels import BLOCK_PIXELS, average_columns
 from magiclens.matching.tuples import Tiles
@@ -616,3 +616,15 @@ def test_rematching_replaces_the_errors_in_use_by_those_of_the_lens_as_built(tur
     assert others.max() < 3e-3
     np.testing.assert_array_equal(again.errors[..., [0, 2]], offered.errors[..., [0, 2]])
     np.testing.assert_array_equal(again.offsets_mm, offered.offsets_mm)
+
+
+@pytest.mark.parametrize("width", [1.0, 1.2, 2.0, 4.5])
+def test_boxes_of_any_width_average_over_exactly_that_width(width: float) -> None:
+    dot = np.zeros((1, 1, 9))
+    dot[0, 0, 4] = 1.0
+    whole = np.clip(width / 2 + 0.5 - abs(np.arange(9) - 4), 0, 1)  # how much of each pixel lies in the box
+    np.testing.assert_allclose(box_blur(dot, 1.0, width)[0, 0], whole / width, atol=1e-12)
+
+
+def test_a_tiles_pixel_sees_at_least_half_a_source_pixel() -> None:
+    assert resolved_scales((1.0, 0.1, 0.2, 0.5), 0.2, 0.1) == (0.25, 0.5, 1.0)

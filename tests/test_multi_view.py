@@ -18,7 +18,7 @@ from magiclens.geometry.facets import patches_seen
 from magiclens.images import resize, to_display
 from magiclens.integration.poisson import Poisson
 from magiclens.matching.exhaustive import Exhaustive
-from magiclens.matching.multi_view import MultiViewMatcher
+from magiclens.matching.multi_view import MultiViewMatcher, _averaged
 from magiclens.optics.medium import slab_of
 from magiclens.optics.refraction import facet_normal, refract
 from magiclens.rendering.facet_errors import facet_errors
@@ -255,3 +255,9 @@ def test_a_facet_whose_patches_one_of_the_eyes_cannot_see_whole_is_named() -> No
         assert np.isfinite(matched(Scene(lens, (view,))).errors[..., 0]).all()
     with pytest.raises(InputError, match=r"facet \(row 0, column 0\) reaches no patch.*larger source"):
         matched(Scene(lens, tuple(views)))
+
+
+def test_boxes_are_as_wide_and_as_tall_as_a_patchs_pixel() -> None:
+    edge = np.broadcast_to(np.arange(16) >= 8, (1, 1, 16, 16)).astype(np.float32)  # upright
+    np.testing.assert_allclose(_averaged(edge, (1.0, 5.0)), to_display(edge), atol=1e-6)
+    assert abs(_averaged(edge, (5.0, 1.0)) - to_display(edge)).max() > 0.05
