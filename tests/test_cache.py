@@ -226,6 +226,7 @@ CHANGES: dict[str, tuple[str, set[str]]] = {
     "lens.relief": ("6mm", MAKES_ANOTHER_LENS),
     "lens.max_slope": ("59deg", MAKES_ANOTHER_LENS),
     "lens.cells": ("vertical", MAKES_ANOTHER_LENS),
+    "lens.mark": ("true", MAKES_ANOTHER_LENS),
     "viewer.distance": ("401mm", MAKES_ANOTHER_LENS),
     "viewer.x": ("1mm", MAKES_ANOTHER_LENS),
     "viewer.y": ("1mm", MAKES_ANOTHER_LENS),

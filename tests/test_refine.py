@@ -203,7 +203,7 @@ def test_progress_ascends_to_the_end(matched: tuple[Scene, HeightField]) -> None
 def test_progress_never_descends_however_many_parts_there_are(
     matched: tuple[Scene, HeightField], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(refinement, "_AT_ONCE", 1)
+    monkeypatch.setattr(refinement, "FACETS_AT_ONCE", 1)
     told: list[float] = []
     Poisson(refinement=1).refine(*matched, told.append)
     assert len(told) > 20

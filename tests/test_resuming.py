@@ -41,8 +41,8 @@ def cache(tmp_path: Path) -> Cache:
 def eager(monkeypatch: pytest.MonkeyPatch) -> None:
     """Everything is kept at once, and blocks are small."""
     monkeypatch.setattr(unfinished, "PAUSE_S", 0.0)
-    monkeypatch.setattr(unfinished, "_WORK_PER_WRITING", 0)
-    monkeypatch.setattr(resuming, "_LEAST_PER_BLOCK", 1)
+    monkeypatch.setattr(unfinished, "WORK_PER_WRITING", 0)
+    monkeypatch.setattr(resuming, "LEAST_PER_BLOCK", 1)
 
 
 class Clock:
@@ -242,10 +242,10 @@ def digests(value: Any) -> list[str]:
 def test_stages_that_are_killed_find_the_same_with_other_numbers_of_threads(
     stage: Callable[[], Any], cache: Cache, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(resuming, "_BLOCKS", 3)
-    monkeypatch.setattr("magiclens.integration.refinement._AT_ONCE", 4)
-    monkeypatch.setattr("magiclens.integration.through_process._STEPS", (2, 3, 3))
-    monkeypatch.setattr("magiclens.integration.through_process._ITERATIONS", 4)
+    monkeypatch.setattr(resuming, "MOST_BLOCKS", 3)
+    monkeypatch.setattr("magiclens.integration.refinement.FACETS_AT_ONCE", 4)
+    monkeypatch.setattr("magiclens.integration.through_process.STEPS_BY_BLUR", (2, 3, 3))
+    monkeypatch.setattr("magiclens.integration.through_process.GRADIENT_STEPS", 4)
     expected, whole = digests(stage()), Killing(None)
     with going_through_loops_by(whole.loop):
         assert digests(stage()) == expected

@@ -16,7 +16,7 @@ PAUSE_S = 10.0
 """Seconds of work after which it is kept, and so what a kill costs at most, beside the item that was worked on."""
 _AT_THE_END = 0.25
 """The same at the end of a loop, relative to it: what was kept in the loop may be older than that."""
-_WORK_PER_WRITING = 100
+WORK_PER_WRITING = 100
 """A pause is at least so many times as long as writing took."""
 
 
@@ -73,4 +73,4 @@ class Unfinished:
         self._cache.keep(entry, [np.asarray(array) for array in state])
         self._kept.add(entry.key)
         self._since = perf_counter()
-        self._pause = max(PAUSE_S, _WORK_PER_WRITING * (self._since - began))
+        self._pause = max(PAUSE_S, WORK_PER_WRITING * (self._since - began))

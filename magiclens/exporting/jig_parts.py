@@ -13,7 +13,7 @@ import numpy as np
 from magiclens.contract.artifacts import Lens, Scene, Solid
 from magiclens.contract.errors import InputError
 from magiclens.exporting.print_page import pages
-from magiclens.geometry.mark import Rectangle, lowest_points, mark_of
+from magiclens.geometry.mark import lowest_points, mark_of
 
 if TYPE_CHECKING:
     from manifold3d import Manifold
@@ -109,7 +109,7 @@ def jig_parts(scene: Scene, solid: Solid, shape: JigShape) -> list[JigPart]:
     eyes = sorted({tuple(view.eye_mm.tolist()) for view in scene.views}, key=lambda eye: (eye[2], eye[1], eye[0]))
     foot = _foot(outer, lens, eyes)
     turns = {view.quarter_turns for view in scene.views} if lens.mark else set()
-    slots = [_slot(mark_of(lowest_points(solid)), shape.clearance, turn) for turn in sorted(turns)]
+    slots = [_slot(_Box(*mark_of(lowest_points(solid))), shape.clearance, turn) for turn in sorted(turns)]
     tray = _tray(lens, seat, outer, shape)
     tray = _without(tray + _block(foot, lens, shape) if shape.stand else tray, slots)
     parts = [*_tiles(tray, shape.bed), *_inset(seat, sheet, shape, slots)]
@@ -239,7 +239,7 @@ def _arrow(outer: _Box) -> Manifold:
     return CrossSection([corners]).extrude(2.0).translate([0, 0, _HIGH - 1.0])
 
 
-def _slot(mark: Rectangle, clearance: float, quarter_turns: int) -> Manifold:
+def _slot(mark: _Box, clearance: float, quarter_turns: int) -> Manifold:
     """The room for a lens's mark after quarter turns of the lens."""
     half = (mark.right - mark.left) / 2 + clearance
     box = _Box(-half, mark.bottom - 1.0, half, mark.top + 2 * clearance)

@@ -120,8 +120,8 @@ def write_pages(drawn: Sequence[Page], paper_mm: tuple[float, float], path: Path
 
 def _bottom(solid: Solid, lens: Lens) -> _Box:
     """The rectangle that the lowest vertices span, without the lens's mark, lens frame, to the nanometre."""
-    foot = foot_of(lowest_points(solid), lens.mark)
-    return round(foot.left, 6), round(foot.bottom, 6), round(foot.right, 6), round(foot.top, 6)
+    left, bottom, right, top = foot_of(lowest_points(solid), lens.mark)
+    return round(left, 6), round(bottom, 6), round(right, 6), round(top, 6)
 
 
 def _turned(box: _Box, quarter_turns: int) -> _Box:

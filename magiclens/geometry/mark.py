@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from magiclens.contract.artifacts import FloatArray, Solid
@@ -14,14 +12,8 @@ _NEAR_MM = 1e-6
 """Points that are less than this apart along an axis are on one line."""
 
 
-@dataclass(frozen=True)
-class Rectangle:
-    """A rectangle in the plane: lowest and highest x and y, mm."""
-
-    left: float
-    bottom: float
-    right: float
-    top: float
+_Box = tuple[float, float, float, float]
+"""Left, bottom, right and top of an upright rectangle, mm, lens frame."""
 
 
 def with_mark(foot: FloatArray) -> FloatArray:
@@ -32,15 +24,15 @@ def with_mark(foot: FloatArray) -> FloatArray:
     Args:
         foot: (B, 3) points along a rectangle of z = 0, mm, lens frame.
     """
-    plain = _around(foot)
-    aside = abs(foot[:, 0] - (plain.left + plain.right) / 2)
-    above = foot[:, 1] > plain.top - _NEAR_MM
+    left, _, right, top = _around(foot)
+    aside = abs(foot[:, 0] - (left + right) / 2)
+    above = foot[:, 1] > top - _NEAR_MM
     half = max(MARK_WIDE_MM / 2, float(aside[above].min()))
     out: FloatArray = foot + np.outer(above & (aside <= half + _NEAR_MM), (0.0, MARK_OUT_MM, 0.0))
     return out
 
 
-def foot_of(points: FloatArray, marked: bool) -> Rectangle:
+def foot_of(points: FloatArray, marked: bool) -> _Box:
     """The rectangle on which a lens stands, without its mark.
 
     Args:
@@ -53,13 +45,12 @@ def foot_of(points: FloatArray, marked: bool) -> Rectangle:
     return _around(points[(x < x.min() + _NEAR_MM) | (x > x.max() - _NEAR_MM)])
 
 
-def mark_of(points: FloatArray) -> Rectangle:
+def mark_of(points: FloatArray) -> _Box:
     """The rectangle around the mark of a lens, beside its foot; arguments are those of ``foot_of``."""
-    plain = foot_of(points, marked=True)
-    middle = (plain.left + plain.right) / 2
-    beside = abs(points[abs(points[:, 1] - plain.top) < _NEAR_MM, 0] - middle)
-    half = float(beside.min())
-    return Rectangle(middle - half, plain.top, middle + half, float(points[:, 1].max()))
+    left, _, right, top = foot_of(points, marked=True)
+    middle = (left + right) / 2
+    half = float(abs(points[abs(points[:, 1] - top) < _NEAR_MM, 0] - middle).min())
+    return middle - half, top, middle + half, float(points[:, 1].max())
 
 
 def lowest_points(solid: Solid) -> FloatArray:
@@ -69,6 +60,6 @@ def lowest_points(solid: Solid) -> FloatArray:
     return found
 
 
-def _around(points: FloatArray) -> Rectangle:
+def _around(points: FloatArray) -> _Box:
     (left, bottom), (right, top) = points[:, :2].min(axis=0).tolist(), points[:, :2].max(axis=0).tolist()
-    return Rectangle(left, bottom, right, top)
+    return left, bottom, right, top

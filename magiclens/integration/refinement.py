@@ -40,7 +40,7 @@ _FINEST, _COARSEST = 1.5, 0.35
 """Most and least pixels along a micro-facet's side."""
 _DISPLAY_ENTRIES = 8192
 """Number of entries of the table of display values."""
-_AT_ONCE = 512
+FACETS_AT_ONCE = 512
 """Number of facets between two reports of progress."""
 
 Relevel = Callable[[FloatArray, FloatArray], FloatArray]
@@ -133,12 +133,12 @@ class _Facets:
         pictures, samples = blurred(self._pictures, blur * self._lens.pitch_mm), self._samples[look_ups]
         descent = Descent(rounds, _ITERATIONS, _ENOUGH)
         errors = np.full(len(self.heights), np.inf)
-        for first in resumable(range(0, len(self._imperfect), _AT_ONCE), self.heights, errors):
-            part = self._imperfect[first : first + _AT_ONCE]
+        for first in resumable(range(0, len(self._imperfect), FACETS_AT_ONCE), self.heights, errors):
+            part = self._imperfect[first : first + FACETS_AT_ONCE]
             heights, after = self.heights[part], np.zeros(len(part))
             refine_facets(heights, self._centres[part], samples, pictures, self._optics, self._metric, descent, after)
             self.heights[part], errors[part] = heights, after
-            progress(min(1.0, (first + _AT_ONCE) / len(self._imperfect)))
+            progress(min(1.0, (first + FACETS_AT_ONCE) / len(self._imperfect)))
         return errors
 
     def relevel(self, levels_for: Relevel) -> None:

@@ -42,9 +42,9 @@ from magiclens.processes.linear_kernels import spread_evenly
 
 _BLURS_MM = (0.25, 0.1, 0.0)
 """Blurs of the sources, one after the other. A blurred edge has a gradient even far away from it."""
-_STEPS = (8, 8, 10)
+STEPS_BY_BLUR = (8, 8, 10)
 """Gauss-Newton steps per blur, at most."""
-_ITERATIONS = 16
+GRADIENT_STEPS = 16
 """Iterations of conjugate gradients per step."""
 _SMOOTH_MM = 1.0
 """Length of the Sobolev metric: changes of the surface that are shorter cost more."""
@@ -84,7 +84,7 @@ def refine_through(
     """
     top = WholeTop(scene, built, process)
     heights = top.heights_of(built)
-    for stage, (blur_mm, steps, damping) in enumerate(zip(_BLURS_MM, _STEPS, _FIRST_DAMPING, strict=True)):
+    for stage, (blur_mm, steps, damping) in enumerate(zip(_BLURS_MM, STEPS_BY_BLUR, _FIRST_DAMPING, strict=True)):
 
         def tell(done: float, stage: int = stage) -> None:
             progress((stage + done) / len(_BLURS_MM))
@@ -240,7 +240,7 @@ class WholeTop:
         if size == 0.0:
             return x
         unpreconditioned = left.copy()  # S^-1 direction, which the pull needs
-        for _ in range(_ITERATIONS):
+        for _ in range(GRADIENT_STEPS):
             slopes = raster_slopes(self.made(direction), self.raster.pitch)
             forces = self._forces(change_of_residuals(slopes, self.raster, self.gradients)) + full * slopes
             image = self._pulled_back(forces) + np.float32(pull) * unpreconditioned

@@ -19,7 +19,7 @@ Loop = Callable[[int, Sequence[NDArray[Any]]], Iterator[int]]
 """Goes through the numbers below the first argument, those left out that were done before a run was killed. The arrays
 are all that the loop changes; they are filled with what they held after these."""
 
-_BLOCKS, _LEAST_PER_BLOCK = 16, 64
+MOST_BLOCKS, LEAST_PER_BLOCK = 16, 64
 """How many blocks a loop over facets is divided into, and how many facets are in one at least, so that threads do not
 wait for each other at the end of each."""
 
@@ -47,7 +47,7 @@ def resumable(items: Sequence[_T], *state: NDArray[Any]) -> Iterator[_T]:
 
 def blocks(count: int) -> list[range]:
     """Indices below a count, such as those of facets, in blocks; their number does not depend on that of threads."""
-    parts = max(1, min(_BLOCKS, count // _LEAST_PER_BLOCK))
+    parts = max(1, min(MOST_BLOCKS, count // LEAST_PER_BLOCK))
     return [range(k * count // parts, (k + 1) * count // parts) for k in range(parts)]
 
 

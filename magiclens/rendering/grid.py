@@ -134,5 +134,5 @@ def _floor(below: FloatArray, marked: bool) -> tuple[float, float, float, float]
     """The rectangle that the vertices of sides and bottom span, without a mark; everything if there are none."""
     if not len(below):
         return -np.inf, np.inf, -np.inf, np.inf
-    foot = foot_of(below, marked)
-    return foot.left, foot.right, foot.bottom, foot.top
+    left, bottom, right, top = foot_of(below, marked)
+    return left, right, bottom, top

@@ -41,9 +41,10 @@ _SPECS = tuple(
         "scenario: {type: single, source: {type: circles}, target: {art: heart}}",
         f"scenario: {{type: multi-view, source: {{type: circles, size: 110mm}}, views: [{_EYES}]}}",
         "scenario: {type: universal-animation, frames: {art: worm, length: 1}}",
+        "scenario: {type: single, source: {type: circles}, target: {art: heart}}\nfabrication: {machine: sla}",
     )
 )
-"""One spec for every matcher, and so for all kernels that a design may need; their pictures take little time."""
+"""Specs for all kernels that a design may need: every matcher, and a printer's lens. Their pictures take little time."""
 _TRACING = ("stable-zone", "tolerances")
 """Analyses that have no kernels of their own: they trace many pictures, and ``render`` has compiled the tracer."""
 _SIDE = 2
