@@ -44,7 +44,7 @@ _SPECS = tuple(
         "scenario: {type: single, source: {type: circles}, target: {art: heart}}\nfabrication: {machine: sla}",
     )
 )
-"""Specs for all kernels that a design may need: every matcher, and a printer's lens. Their pictures take little time."""
+"""Specs for all kernels that a design may need: every matcher, and a printer's lens. Pictures take little time."""
 _TRACING = ("stable-zone", "tolerances")
 """Analyses that have no kernels of their own: they trace many pictures, and ``render`` has compiled the tracer."""
 _SIDE = 2
