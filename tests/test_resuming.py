@@ -26,8 +26,10 @@ from magiclens.matching.exhaustive import Exhaustive
 from magiclens.matching.multi_view import MultiViewMatcher
 from magiclens.plan.compile import load_plan
 from magiclens.processes.linear import LinearProcess
+from magiclens.rendering.mitsuba import Mitsuba
 from magiclens.running.observers import Observer
 from magiclens.running.pipeline import run_plan
+from magiclens.testing.scenes import bumpy_solid
 from scenes import ABOVE, ASIDE, blotches, choices, grey_view, small_lens, surface
 from toys import TOYS, SpecWriter, ToyMatcher, registry_of
 
@@ -221,8 +223,15 @@ def refine_as_made() -> Any:
     return refine_through(scene, surface(lens, np.zeros((1, 1, 1, 1)), None), LinearProcess(spread="0.1mm"), silent)
 
 
+def render() -> Any:
+    """Eight views, by the variant that rounds alike on every machine."""
+    eyes = [(40.0 * k, 0.0, 400.0) for k in range(8)]
+    scene = Scene(small_lens(2), tuple(grey_view(blotches(32, 4, seed=k), np.ones((8, 8)), eyes[k]) for k in range(8)))
+    return tuple(Mitsuba(resolution=8, samples=4, variant="scalar_rgb").render(scene, bumpy_solid(scene)))
+
+
 STAGES = {"exhaustive": match_one_eye, "multi-view": match_two_eyes, "heat-bath": anneal, "refinement": refine,
-          "refinement as made": refine_as_made}  # fmt: skip
+          "refinement as made": refine_as_made, "mitsuba": render}  # fmt: skip
 
 
 def digests(value: Any) -> list[str]:
