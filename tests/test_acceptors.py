@@ -11,7 +11,7 @@ import trimesh
 from acceptors import admesh, assert_accepted, assert_sliceable, volume_of_self_union
 from lenses import SHIPPED, Lenses
 
-UNLIKE = {"single", "multi-view", "milled", "printed-lcd", "universal-animation"}
+UNLIKE = {"single", "milled", "printed-lcd"}
 """Specs whose meshes have little in common: the others are in the sweep tier."""
 EVERY = [pytest.param(name, marks=pytest.mark.tools if name in UNLIKE else pytest.mark.sweep) for name in SHIPPED]
 

@@ -631,7 +631,7 @@ FILM_KINDS = {"h264": "0", "vp9": NO_H264, "gif": "delete window.VideoEncoder"}
 """Codecs by what a page must do without."""
 
 
-@pytest.mark.parametrize("codec", list(FILM_KINDS))
+@pytest.mark.parametrize("codec", ["h264", *(pytest.param(c, marks=pytest.mark.sweep) for c in ("vp9", "gif"))])
 def test_a_film_to_share_is_a_video_or_else_a_gif_and_ends_in_place(
     visit: Any, folders: dict[str, Path], tmp_path: Path, codec: str
 ) -> None:

@@ -86,7 +86,7 @@ def folder(whole: Path, tmp_path: Path) -> Path:  # noqa: F811
     return shutil.copytree(whole, tmp_path / "run")
 
 
-TIERS = [(0, 4), pytest.param(4, 36, marks=pytest.mark.tools), pytest.param(40, 430, marks=pytest.mark.sweep)]
+TIERS = [(0, 4), pytest.param(4, 426, marks=pytest.mark.sweep)]
 
 
 @pytest.mark.parametrize(("first", "many"), TIERS)
