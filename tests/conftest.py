@@ -59,6 +59,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if "browser" in getattr(item, "fixturenames", ()) and not item.get_closest_marker("sweep"):
             item.add_marker("tools")
+        if item.get_closest_marker("sweep") and item.get_closest_marker("tools"):
+            raise pytest.UsageError(f"{item.nodeid} is in two tiers: 'pytest -m tools' would run a sweep")
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:

@@ -1,4 +1,7 @@
-"""What a mill makes of a lens: fillets where its cutter does not fit, polishing, and what that costs the picture."""
+"""What a mill makes of a lens: fillets where its cutter does not fit, polishing, and what that costs the picture.
+
+Tools tier: its kernels take longest to compile, and are no other file's.
+"""
 
 from __future__ import annotations
 
@@ -24,8 +27,6 @@ from milled import BALL, FLAT, V, cutter, waves
 from milled import WAVES as SMALL
 from test_printed import scene_of
 
-pytestmark = pytest.mark.tools
-"""Its kernels take longest to compile, and are no other file's."""
 SHAPES = pytest.mark.parametrize("shape", [BALL, FLAT, V], ids=["ball", "flat", "v"])
 
 
@@ -58,6 +59,7 @@ def cliff(step_mm: float) -> Solid:
     "solid",
     [pytest.param(waves(), id="waves", marks=pytest.mark.tools), pytest.param(bumpy(None, 3, SMALL), id="steps")],
 )
+@pytest.mark.tools
 def test_a_raster_agrees_with_the_exact_envelope(solid: Solid, shape: dict[str, Any]) -> None:
     """The closing by lines, of the mesh itself, on a patch; steps fall between the raster's points."""
     x, y, z = top(as_milled(solid, mill(shape)))
@@ -68,6 +70,7 @@ def test_a_raster_agrees_with_the_exact_envelope(solid: Solid, shape: dict[str, 
     assert off.mean() < 0.01
 
 
+@pytest.mark.tools
 def test_at_a_cliffs_foot_the_tips_ball_leaves_its_own_arc() -> None:
     """A tip of radius r that leans on a cliff of height h < r touches the ground sqrt(2 r h - h^2) away from it."""
     radius, step = 0.25, 0.1
@@ -84,6 +87,7 @@ def test_at_a_cliffs_foot_the_tips_ball_leaves_its_own_arc() -> None:
     assert profile[(x > COARSE_MM) & (x < 2.9)] == pytest.approx(step, abs=1e-5)
 
 
+@pytest.mark.tools
 def test_what_fits_is_cut_as_designed_and_polishing_rounds_it() -> None:
     inside = slice(30, -30)
     x, y, z = top(as_milled(flat(SMALL), mill(BALL)))
@@ -94,6 +98,7 @@ def test_what_fits_is_cut_as_designed_and_polishing_rounds_it() -> None:
     assert np.abs(np.diff(round_)).max() < 0.5 * np.abs(np.diff(sharp)).max()
 
 
+@pytest.mark.tools
 def test_a_milled_lens_is_a_closed_body() -> None:
     made = as_milled(bumpy(lens=SMALL), mill(V, "0.04mm"))
     assert made is not None
@@ -103,6 +108,7 @@ def test_a_milled_lens_is_a_closed_body() -> None:
 
 
 @pytest.mark.parametrize("eye", [(0.0, 0.0, 108.0), (30.0, -20.0, 108.0)], ids=["above", "aside"])
+@pytest.mark.tools
 def test_strips_put_together_are_the_whole_picture(eye: Eye) -> None:
     """Light bends from one strip into the next, and an eye aside sees a strip's rows elsewhere at other heights."""
     design, scene, tracer = waves(), scene_of(SMALL), Tracer(resolution=96, samples=2)
@@ -127,6 +133,7 @@ def test_strips_put_together_are_the_whole_picture(eye: Eye) -> None:
     assert np.abs(low[0] - high[0]).mean() > 1e-3
 
 
+@pytest.mark.tools
 def test_what_would_be_too_coarse_to_be_true_is_not_simulated() -> None:
     large = Lens(size_mm=200.0, source_size_mm=200.0, facets=2, microfacets=2, thickness_mm=8.0)
     assert as_made(mill(V), scene_of(large), flat(large)) is None

@@ -1,4 +1,7 @@
-"""Fewer triangles: within the bound everywhere, closed, and exact where facets meet."""
+"""Fewer triangles: within the bound everywhere, closed, and exact where facets meet.
+
+Tools tier: its kernel takes 10 s to compile, and is no other file's.
+"""
 
 from __future__ import annotations
 
@@ -25,8 +28,6 @@ from magiclens.rendering.mitsuba import Mitsuba
 from magiclens.running.open_run import open_run
 from magiclens.testing.scenes import bumpy_solid, one_view
 
-pytestmark = pytest.mark.tools
-"""Its kernel takes 10 s to compile, and is no other file's."""
 SCENE = one_view()
 
 
@@ -53,6 +54,7 @@ def normals_of(solid: Solid, faces: IntArray) -> FloatArray:
 
 
 @pytest.mark.parametrize("tolerance_deg", [0.3, 3.0])
+@pytest.mark.tools
 def test_no_normal_turns_by_more_than_the_tolerance(tolerance_deg: float) -> None:
     whole = bumpy_solid(SCENE)
     fewer = decimated(whole, SCENE.lens, tolerance_deg)
@@ -69,6 +71,7 @@ def test_no_normal_turns_by_more_than_the_tolerance(tolerance_deg: float) -> Non
 
 
 @pytest.mark.parametrize("tolerance_deg", [0.3, 3.0])
+@pytest.mark.tools
 def test_vertices_that_are_left_out_are_near_the_surface(tolerance_deg: float) -> None:
     whole, lens = bumpy_solid(SCENE), SCENE.lens
     fewer = decimated(whole, lens, tolerance_deg)
@@ -79,6 +82,7 @@ def test_vertices_that_are_left_out_are_near_the_surface(tolerance_deg: float) -
 
 
 @pytest.mark.parametrize("eye", [(0.0, 0.0, 108.0), None])
+@pytest.mark.tools
 def test_borders_walls_rim_and_floor_stay(eye: tuple[float, float, float] | None) -> None:
     whole = bumpy(eye)
     fewer = decimated(whole, LENS, 3.0)
@@ -92,6 +96,7 @@ def test_borders_walls_rim_and_floor_stay(eye: tuple[float, float, float] | None
     assert len(kept - {found.tobytes() for found in fewer.vertices[fewer.faces]}) <= 4 * LENS.facets**2, "but corners"
 
 
+@pytest.mark.tools
 def test_it_is_closed_and_holds_the_same_volume() -> None:
     whole = bumpy_solid(SCENE)
     fewer = decimated(whole, SCENE.lens, 2.0)
@@ -99,6 +104,7 @@ def test_it_is_closed_and_holds_the_same_volume() -> None:
     assert volume(fewer) == pytest.approx(volume(whole), rel=1e-4)
 
 
+@pytest.mark.tools
 def test_of_flat_facets_only_the_borders_are_left() -> None:
     lens = replace(LENS, microfacets=8)
     whole = flat(lens, (0.0, 0.0, 108.0))
@@ -108,6 +114,7 @@ def test_of_flat_facets_only_the_borders_are_left() -> None:
     assert gone == lens.facets**2 * (2 * 8**2 - (4 * 8 - 2))
 
 
+@pytest.mark.tools
 def test_without_a_tolerance_or_a_grid_the_mesh_is_whole() -> None:
     whole = bumpy_solid(SCENE)
     assert decimated(whole, SCENE.lens, 0.0) is whole
@@ -116,6 +123,7 @@ def test_without_a_tolerance_or_a_grid_the_mesh_is_whole() -> None:
 
 
 @pytest.mark.parametrize("exporter", [Stl, Ply, Obj, ThreeMf, Glb])
+@pytest.mark.tools
 def test_every_mesh_file_may_be_decimated(exporter: type[MeshExporter], tmp_path: Path) -> None:
     solid = bumpy_solid(SCENE)
     fewer, again, whole = (
@@ -128,6 +136,7 @@ def test_every_mesh_file_may_be_decimated(exporter: type[MeshExporter], tmp_path
     assert len(read_mesh_file(fewer).triangles) == wanted < len(solid.faces)
 
 
+@pytest.mark.tools
 def test_preflight_sees_the_picture_through_a_decimated_file(lenses: Lenses) -> None:
     fewer, whole = (
         lenses.shipped("single", f"pipeline.exporters=[{{type: 3mf, tolerance: {tolerance}}}]")
