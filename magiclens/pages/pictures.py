@@ -18,5 +18,5 @@ def webp_uri(picture: Pixels) -> str:
     from PIL import Image
 
     content = io.BytesIO()
-    Image.fromarray(picture).save(content, "WEBP", quality=82, method=2)
+    Image.fromarray(picture).save(content, "WEBP", quality=66, method=2)
     return data_uri(content.getvalue(), "webp")
