@@ -92,13 +92,15 @@ def gallery_command(
     with reporting(traceback):
         from magiclens.running.termination import end_on_sigterm
         from magiclens.web.gallery.build import build_gallery
+        from magiclens.web.gallery.gallery_list import load_gallery
         from magiclens.web.gallery.publish import check_place, publish_gallery
 
         if published:
             check_place(published)
         end_on_sigterm()
         worker, registry = chosen_executor(executor, executor_settings)
-        build_gallery(listed, out, worker, registry, _all_commands(), small, print_no_note if quiet else print_note)
+        say = print_no_note if quiet else print_note
+        build_gallery(load_gallery(listed), out, worker, registry, _all_commands(), small, say)
         if published:
             publish_gallery(out, published)
 
@@ -113,8 +115,9 @@ def docs_command(
     with reporting(traceback):
         from magiclens.plan.registry import Registry
         from magiclens.web.gallery.build import build_docs
+        from magiclens.web.gallery.gallery_list import load_gallery
 
-        build_docs(listed, out, Registry.load(), _all_commands(), print_no_note if quiet else print_note)
+        build_docs(load_gallery(listed), out, Registry.load(), _all_commands(), print_no_note if quiet else print_note)
 
 
 def _all_commands() -> dict[str, Any]:

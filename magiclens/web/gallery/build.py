@@ -15,7 +15,7 @@ from magiclens.plan.registry import Registry
 from magiclens.running.jobs import RunJob
 from magiclens.running.replacing import atomic_file
 from magiclens.web.gallery.docs import DOCS_FOLDER, DocPage, Library, doc_page, doc_paths, normal_path
-from magiclens.web.gallery.gallery_list import GalleryList, load_gallery
+from magiclens.web.gallery.gallery_list import GalleryList
 from magiclens.web.gallery.lens import LensPage, lens_page
 from magiclens.web.gallery.pages import LOOK_PAGE, PAPER_PAGE, Link, Site
 from magiclens.web.gallery.parts import ReferencePage
@@ -38,7 +38,7 @@ _ASSETS = {
 
 
 def build_gallery(
-    path: Path,
+    gallery: GalleryList,
     out: Path,
     executor: Executor,
     registry: Registry,
@@ -49,7 +49,7 @@ def build_gallery(
     """Write the site of a list; equal lists and equal runs give equal pages.
 
     Args:
-        path: The list's file.
+        gallery: The list; without entries, the documentation alone is written.
         out: The site's folder; runs in it that are still valid are not made again.
         executor: Where runs and viewers are made.
         registry: Installed stages.
@@ -58,32 +58,8 @@ def build_gallery(
         say: Is given one line of text for each run, and at the end the path of the front page.
 
     Raises:
-        InputError: The list, a spec or a page of documentation is wrong.
+        InputError: A spec or a page of documentation is wrong, or the folder holds something else.
     """
-    _build(load_gallery(path), out, executor, registry, commands, quick, say)
-
-
-def build_docs(path: Path, out: Path, registry: Registry, commands: Commands, say: Callable[[str], None]) -> None:
-    """Write the documentation of a list alone, with the pictures that are in its folders; no lens is made.
-
-    Arguments and errors are those of ``build_gallery``; ``out`` must not be a gallery with lenses.
-    """
-    if (out / _RUNS).is_dir():
-        raise InputError(f"'{out}' is a gallery with lenses, which would be lost; choose another --out", "--out")
-    bare = load_gallery(path).model_copy(update={"entries": [], "hero": None})
-    _build(bare, out, Serial(), registry, commands, False, say)
-
-
-def _build(
-    gallery: GalleryList,
-    out: Path,
-    executor: Executor,
-    registry: Registry,
-    commands: Commands,
-    quick: bool,
-    say: Callable[[str], None],
-) -> None:
-    """Write a site; arguments are those of ``build_gallery``."""
     _claim(out)
     runs = {entry.name: out / _RUNS / entry.name for entry in gallery.entries}
     jobs = [
@@ -100,6 +76,19 @@ def _build(
         _write(out / name, text)
     _tidy(out, {*texts, *library.files, *album.paths}, runs.values())
     say(f"{out / 'index.html'}")
+
+
+def build_docs(
+    gallery: GalleryList, out: Path, registry: Registry, commands: Commands, say: Callable[[str], None]
+) -> None:
+    """Write the documentation of a list alone, with the pictures that are in its folders; no lens is made.
+
+    Arguments and errors are those of ``build_gallery``; ``out`` must not be a gallery with lenses.
+    """
+    if (out / _RUNS).is_dir():
+        raise InputError(f"'{out}' is a gallery with lenses, which would be lost; choose another --out", "--out")
+    bare = gallery.model_copy(update={"entries": [], "hero": None})
+    build_gallery(bare, out, Serial(), registry, commands, False, say)
 
 
 def _claim(out: Path) -> None:
