@@ -14,7 +14,7 @@ from typing import Any
 
 import numba
 import numpy as np
-from numba import config, njit
+from numba import config
 from numba.core.caching import CompileResultCacheImpl, _CacheLocator
 
 from magiclens.kernels.cache_folder import PACKAGE, cache_folder
@@ -25,6 +25,23 @@ _UNUSED_DAYS = 30
 """Kernels of other states of the sources are removed when nobody has used them for so long."""
 _COMPILER = f"numba-{numba.__version__}-numpy-{np.__version__}" + "-svml" * bool(config.USING_SVML)  # type: ignore[attr-defined]
 """What machine code depends on besides the sources and the processor, which numba itself looks at."""
+
+
+def njit(*, fastmath: bool | set[str] = False, forceinline: bool = False, **options: Any) -> Callable[..., Any]:
+    """numba's ``njit``, with a value for every option that numba else takes from the caller that is compiled first.
+
+    So what a kernel computes does not depend on what the process has compiled before. A division by zero gives infinity
+    or nan, as in numpy.
+
+    Args:
+        fastmath: which rounding may be relaxed, see numba.
+        forceinline: whether callers take in the kernel's code.
+        options: others of numba's.
+    """
+    decorator: Callable[..., Any] = numba.njit(
+        fastmath=fastmath, forceinline=forceinline, error_model="numpy", **options
+    )
+    return decorator
 
 
 @cache

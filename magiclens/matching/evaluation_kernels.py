@@ -38,7 +38,7 @@ class Staircase(NamedTuple):
 
 
 # not plain fastmath, which takes infinity, the sign of an empty place, for impossible
-@njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc", "arcp"})
+@njit(cache=True, fastmath={"contract", "reassoc", "arcp"})
 def _evaluate_facet(f, tiles, source, per_mm, stairs, window, found):
     """Replace the errors of the candidates of facet f, see ``evaluate``."""
     channels, pixels = tiles.values.shape[1], tiles.values.shape[2]

@@ -233,7 +233,7 @@ def _bucket_edges(centre, window, spacing, first, stride, count):
     return edges
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _bucket_rows(y, window):
     """(buckets + 1,) which row of offsets, y mm, is the first in each bucket."""
     rows = np.empty(len(y), np.int64)
@@ -249,7 +249,7 @@ def _offset(patches, raster, j, n):
     return (patches.x[n], patches.y[j]), (patches.samples[n, 0], row, patches.samples[n, 1])
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _far(offset, window, tile):
     """The distance term of an offset, as a sum over the tile's pixels."""
     norm = np.float32(1.0 / tile.size)
@@ -263,7 +263,7 @@ def _can_show(patches, offset, raster, seen, optics):
     return reachable(patches.centre, offset, (seen.map[0], 0.0, seen.map[1]), half, optics)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _probe(span, least, limit, patches, raster, seen, window, optics):
     """The first offset with the least bound of ``span``: (row, first, end), that is below the limit and can be shown.
 
@@ -291,7 +291,7 @@ def _probe(span, least, limit, patches, raster, seen, window, optics):
     return -1, limit
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _compare(bucket, most, probed, patches, raster, seen, rule):
     """Compare the offsets of a bucket, row by row, and take each that is better than the best so far.
 
@@ -347,7 +347,7 @@ def _least_of_bucket(lowest, bounds, rows, places):
     return least, row, place
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _search_bucket(f, k, lowest, patches, raster, seen, columns, rule):
     """Compare the offsets of bucket k with the tile of facet f, and take the best.
 
@@ -394,7 +394,7 @@ def _search_bucket(f, k, lowest, patches, raster, seen, columns, rule):
     _compare(((f, k), rows, columns[:count]), most, (likely, place, exact), patches, raster, seen, rule)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _patches_of(centre, pixels, raster, window):
     """The patches of a facet in a raster, and how many there are in a row and in a column."""
     sy, sx = raster.means.shape[1], raster.means.shape[2]
@@ -413,7 +413,7 @@ def _patches_of(centre, pixels, raster, window):
     return _Patches(centre, (x0, y0), edges, _bucket_rows(y, window), x, y, samples), n_x, n_y
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _search_facet(f, tiles, blocks, raster, rule, mirrored):
     """Try every offset of a raster for facet f, see ``search``."""
     channels, pixels = tiles.values.shape[1], tiles.values.shape[2]

@@ -149,7 +149,7 @@ def _maps_on_source(sighting, m, half_pitch, half_source):
     return ok
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _search_facet(f, views, facets, trials, window, optics, found):
     """Try every offset and every map for facet f, see ``search_views``."""
     count, channels = views.targets.shape[0], views.targets.shape[1]
@@ -280,7 +280,7 @@ def _normal_equations(views, levels, pitch, pixels, sighting, jtj, jtr, derive):
     return total / (count * channels * pixels * pixels)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _polish_facet(f, views, facets, polishing, window, optics, found):
     """Polish the candidates of facet f, see ``polish_views``; polishing: levels, pixels and rule."""
     levels, pixels, rule = polishing
@@ -362,7 +362,7 @@ def polish_views(
         in_threads(_polish_views_part, block, views, facets, polishing, window, optics, found)
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc", "arcp"})
+@njit(cache=True, fastmath={"contract", "reassoc", "arcp"})
 def _evaluate_facet(f, views, facets, shown, window, optics, found):
     """Replace the errors of the candidates of facet f, see ``evaluate_views``; shown: sources, pixels and stairs."""
     sources, pixels, stairs = shown

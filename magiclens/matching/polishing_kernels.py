@@ -144,7 +144,7 @@ def _allowed(q, centre, tiles, edge, window, rule, optics):
     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _polish_facet(f, tiles, levels, per_mm, window, rule, optics, found):
     """Polish the candidates of facet f, see ``polish``."""
     px = tiles.pitch / tiles.values.shape[1]

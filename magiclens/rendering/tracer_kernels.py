@@ -91,7 +91,7 @@ def trace_rows(grid: Grid, slab: Slab, eye: FloatArray, rows: PictureRows) -> Fl
     return hits
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, forceinline=True)
 def _follow(grid, slab, eye, through, near):
     """The path from the eye through a point of the reference plane to the source.
 
@@ -164,7 +164,7 @@ def _follow(grid, slab, eye, through, near):
     return _LOST, cell
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, forceinline=True)
 def _to_source(point, direction, weight, slab):
     """Through the flat bottom and the gap: x and y of the source point, mm, and weight; 0 on total reflection."""
     x, y, z = point
@@ -176,7 +176,7 @@ def _to_source(point, direction, weight, slab):
     return _LOST
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, forceinline=True)
 def _sinks(grid, start, end, cell):
     """Whether a segment that starts on the surface, and into the glass, will meet it no more: most do not.
 
@@ -192,14 +192,14 @@ def _sinks(grid, start, end, cell):
     )
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, forceinline=True)
 def _end(grid, u1, v1):
     """What ``_march`` says of a segment that meets no surface, by u and v of its end."""
     us, vs = grid.us, grid.vs
     return _MISSED if us[0] <= u1 <= us[-1] and vs[-1] <= v1 <= vs[0] else _LEFT_GRID
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, forceinline=True)
 def _march(grid, start, end, cell, skipped, inside):
     """Follow a segment through the grid's cells until it crosses the surface.
 
@@ -257,7 +257,7 @@ def _march(grid, start, end, cell, skipped, inside):
             return _LEFT_GRID, r, c, _EITHER
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, forceinline=True)
 def _meet(grid, segment, cell, skipped, span, inside):
     """Where a segment crosses the surface in a cell, see ``_march``.
 
@@ -304,7 +304,7 @@ def _meet(grid, segment, cell, skipped, span, inside):
     return _MISSED, _EITHER
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, forceinline=True)
 def _facing(points, r, c, upper):
     """Upward unit normal, in space, of the upper right or the lower left triangle of a cell."""
     a, d = points[r, c], points[r + 1, c + 1]
@@ -317,7 +317,7 @@ def _facing(points, r, c, upper):
     return nx * q, ny * q, nz * q
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, forceinline=True)
 def _to_grid(grid, x, y, z):
     """u, v, w of a point in space, mm; see ``rendering.grid``."""
     if grid.vertical:
@@ -327,7 +327,7 @@ def _to_grid(grid, x, y, z):
     return eye[0] + (x - eye[0]) * w, eye[1] + (y - eye[1]) * w, w
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, forceinline=True)
 def _from_grid(grid, u, v, w):
     """x, y, z, mm, of a point in the grid's coordinates."""
     if grid.vertical:
