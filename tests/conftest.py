@@ -41,11 +41,23 @@ def pytest_configure() -> None:
 
 def pytest_sessionstart(session: pytest.Session) -> None:
     """Compile all kernels in two processes, or each worker would compile them; not for tests that are named."""
-    config, done = session.config, cache_folder() / "all"
+    config = session.config
     named = config.invocation_params.args and any(Path(word).exists() for word in config.invocation_params.args)
-    if not named and config.getoption("numprocesses", None) and not done.exists():
+    if not named and config.getoption("numprocesses", None):
+        compile_once()
+
+
+def compile_once() -> None:
+    done = cache_folder() / "all"
+    if not done.exists():
         compile_all_kernels()
         done.touch()
+
+
+@pytest.fixture(scope="session")
+def compiled() -> None:
+    """For tests that measure time: kernels are compiled, also where the tests are named."""
+    compile_once()
 
 
 LONGEST = ("test_viewer", "test_docs", "test_studio_lens", "test_gallery")

@@ -74,7 +74,11 @@ SMALL = [
     "scenario.angles=[0deg, 90deg]",
     "pipeline.renderers=[{type: tracer, resolution: 96}]",
 ]
-WORM = ["lens={size: 24mm, facets: 6, microfacets: 6, thickness: 30mm}", "pipeline.renderers=[{type: tracer}]"]
+WORM = [
+    "lens={size: 24mm, facets: 6, microfacets: 6, thickness: 30mm}",
+    "scenario.frames={art: worm, length: 3}",
+    "pipeline.renderers=[{type: tracer, resolution: 96}]",
+]
 Build = Callable[..., Any]
 
 

@@ -18,7 +18,7 @@ from PIL import Image, ImageDraw
 from playwright.sync_api import Browser, Locator, Page, expect
 
 from browsers import listen
-from magiclens.kernels.cache_folder import cache_folder
+from magiclens.cache.folder import FOLDER_VARIABLE, SIZE_VARIABLE
 from test_studio_browser import fits, serious
 
 pytestmark = pytest.mark.tools
@@ -30,6 +30,8 @@ PATIENCE_MS = 300_000
 """For each step: others may keep this machine busy."""
 CLICKS = 8
 """From the start to both files."""
+KEPT = {SIZE_VARIABLE: "1GB"}
+"""The studio keeps results of stages, as at its users; in its own folder."""
 
 
 class Served:
@@ -42,7 +44,9 @@ class Served:
     def start(self) -> None:
         words = ["studio", "--no-open", "--port", "0", "--folder", str(self.folder)]
         with self.folder.with_suffix(".txt").open("a") as errors:
-            self.process = subprocess.Popen([*MLENS, *words], stdout=subprocess.PIPE, stderr=errors, text=True)
+            self.process = subprocess.Popen(
+                [*MLENS, *words], stdout=subprocess.PIPE, stderr=errors, text=True, env=os.environ | KEPT
+            )
         assert self.process.stdout
         found = re.search(r"http://127\.0\.0\.1:\d+/\?token=\S+", self.process.stdout.readline())
         assert found
@@ -65,9 +69,7 @@ class Served:
 
 
 @pytest.fixture(scope="module")
-def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    if not (cache_folder() / "all").exists():  # the session has compiled them, unless tests were named
-        subprocess.run([*MLENS, "doctor", "--warm"], check=True, capture_output=True)
+def served(compiled: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     studio = Served(tmp_path_factory.mktemp("lens") / "studio")
     yield studio
     assert studio.stop() == ""
@@ -174,8 +176,9 @@ def test_from_a_photo_to_both_files_over_a_killed_server(browser: Browser, serve
         packed.extractall(tmp_path)
     address = job.get_by_role("link", name="Spec as YAML").get_attribute("href")
     assert (tmp_path / "spec.yaml").read_text() == visitor.tab.request.get(f"{visitor.home}{address}").text()
-    words = ["run", "spec.yaml", "--out", "out", "--quiet", "--no-cache", "--set", "report.analyses=[]"]
-    subprocess.run([*MLENS, *words], cwd=tmp_path, check=True)
+    words = ["run", "spec.yaml", "--out", "out", "--quiet", "--set", "report.analyses=[]"]
+    studios = KEPT | {FOLDER_VARIABLE: str(served.folder / "cache")}
+    subprocess.run([*MLENS, *words], cwd=tmp_path, check=True, env=os.environ | studios)
     assert mesh == (tmp_path / "out" / "lens.3mf").read_bytes()
     assert sheet == (tmp_path / "out" / "lens.pdf").read_bytes()
     visitor.leave()

@@ -27,7 +27,10 @@ from magiclens.cli import app
 SPEC = """\
 scenario: {type: single, source: {type: circles, seed: 7, size: 12mm}, target: {art: heart}}
 lens: {size: 12mm, facets: 4, microfacets: 4, thickness: 15mm, relief: 4mm}
-pipeline: {matcher: {type: exhaustive, window: 10%, scales: [0.3, 0.8], candidates: 9}}
+pipeline:
+  matcher: {type: exhaustive, window: 10%, scales: [0.3, 0.8], candidates: 9}
+  renderers: [{type: tracer, resolution: 64, samples: 2}]
+report: {analyses: []}
 """
 SWEEP = ["--set", "lens.facets=2,3,4"]
 

@@ -20,6 +20,7 @@ pipeline:
   matcher: {type: patchmatch, window: 50%%}
   exporters: []
   renderers: [{type: tracer, resolution: 256}]
+report: {analyses: [ideal-picture]}
 """
 SINGLE = "{type: single, source: {type: circles, seed: 7}, target: {art: panda}}"
 ROTATING = "{type: rotating, source: {type: circles, seed: 7}, targets: [{art: panda}, {art: bat}]}"

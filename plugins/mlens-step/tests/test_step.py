@@ -28,6 +28,7 @@ lens: {size: 18mm, facets: 6, microfacets: 24, thickness: 15mm, relief: 3mm}
 pipeline:
   exporters: [{type: step}]
   renderers: []
+report: {analyses: []}
 """
 SMOOTH = "pipeline.integrator={type: poisson, refinement: 0}"
 LENSES = {
