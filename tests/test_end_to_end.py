@@ -25,8 +25,9 @@ def rotating(lenses: Lenses) -> Run:
 
 
 LONG = {
-    "fine-detail", "multi-view", "printed-lcd", "printed-rotating", "printed-single", "printed-universal",
-    "question-answer-source-optimized", "question-answer-universal", "stable-zone",
+    "fine-detail", "multi-pair", "multi-view", "printed-lcd", "printed-rotating", "printed-single",
+    "printed-universal", "question-answer-source-optimized", "question-answer-universal", "rotating-codesign",
+    "stable-zone",
 }  # fmt: skip
 """Specs whose small lenses take longest; each has a sister among the others."""
 

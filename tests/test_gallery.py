@@ -134,6 +134,7 @@ def test_the_card_shows_the_view_that_was_asked_for(build: Build, tmp_path: Path
     assert "tracer-rotation-090" in card
 
 
+@pytest.mark.tools
 def test_links_to_pages_have_previews_with_whole_addresses_where_the_list_has_one(
     build: Build, tmp_path: Path
 ) -> None:
@@ -150,6 +151,7 @@ def test_links_to_pages_have_previews_with_whole_addresses_where_the_list_has_on
     assert 'rel="canonical" href="https://lenses.example.org/a/lenses/first.html"' in page
 
 
+@pytest.mark.tools
 def test_a_published_copy_is_the_site_and_replaces_nothing_else(build: Build, tmp_path: Path) -> None:
     place = tmp_path / "published"
     for _ in range(2):
@@ -168,6 +170,7 @@ def test_a_published_copy_is_the_site_and_replaces_nothing_else(build: Build, tm
     assert (place / ".git").is_dir()
 
 
+@pytest.mark.tools
 def test_what_hosts_do_not_take_is_not_published(
     build: Build, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -185,6 +188,7 @@ def test_an_unknown_view_is_named(build: Build, tmp_path: Path) -> None:
     assert "second: unknown view 'rotation-09'; did you mean 'rotation-090'?" in result.stderr
 
 
+@pytest.mark.tools
 def test_what_is_up_to_date_is_not_made_again(build: Build, tmp_path: Path) -> None:
     assert "2 lenses, 2 to make" in build().stderr
     before = _bytes(tmp_path / "site")

@@ -156,7 +156,11 @@ def ended_by(place: Place, number: signal.Signals, at: int, older: bool, swaps: 
     return ended, place.check_next_run()
 
 
-@pytest.mark.parametrize("number", CODES, ids=lambda number: number.name)
+@pytest.mark.parametrize(
+    "number",
+    [signal.SIGKILL, *(pytest.param(each, marks=pytest.mark.tools) for each in (signal.SIGTERM, signal.SIGINT))],
+    ids=lambda number: number.name,
+)
 def test_a_signal_at_any_change_loses_nothing(number: signal.Signals, place: Place) -> None:
     for at in some(place.changes(True, False), 70, 3):
         ended_by(place, number, at, True, False)

@@ -38,10 +38,9 @@ def njit(*, fastmath: bool | set[str] = False, forceinline: bool = False, **opti
         forceinline: whether callers take in the kernel's code.
         options: others of numba's.
     """
-    decorator: Callable[..., Any] = numba.njit(
-        fastmath=fastmath, forceinline=forceinline, error_model="numpy", **options
-    )
-    return decorator
+    numba_njit: Callable[..., Callable[..., Any]] = numba.njit  # its types leave out the last of these options
+    # nobody calls kernels from C, for which numba would compile one more function
+    return numba_njit(fastmath=fastmath, forceinline=forceinline, error_model="numpy", no_cfunc_wrapper=True, **options)
 
 
 @cache

@@ -111,7 +111,10 @@ def test_manifests_that_were_tampered_with_are_refused_in_a_line(first: int, man
         refused(every[rng.randrange(len(every))])
 
 
-@pytest.mark.parametrize(("first", "many"), [(0, 10), pytest.param(10, 60, marks=pytest.mark.sweep)])
+@pytest.mark.parametrize(
+    ("first", "many"),
+    [pytest.param(0, 10, marks=pytest.mark.tools), pytest.param(10, 60, marks=pytest.mark.sweep)],
+)
 @pytest.mark.parametrize("name", ["lens.stl", "lens.3mf"])
 def test_meshes_that_were_tampered_with_are_found_fit_or_not(name: str, first: int, many: int, folder: Path) -> None:
     """They may be repaired by other programs, so whatever they hold is checked, and not whether it was changed."""
