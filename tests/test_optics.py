@@ -316,6 +316,14 @@ def test_only_the_higher_side_loses_light_and_only_where_its_rays_drift_to(step:
     assert light == pytest.approx(2.0 * 0.1 * lost)
 
 
+def test_errors_of_the_chosen_candidates_are_the_images_share_of_the_energy() -> None:
+    choice, heights, _, edges = two_facets(0.8, 0.1)
+    image, light, even = total_energy(choice, heights, np.full((2, 2, 1), 0.3), edges, EnergyTerms(2.0, 1.0, 0.5, 0.25))
+    without = total_energy(*two_facets(0.8, 0.1), EnergyTerms(2.0, 1.0, 0.5, 0.25))
+    assert image == pytest.approx(4 * 0.3)
+    assert (light, even) == tuple(without[1:])
+
+
 def test_every_edge_counts_once_and_both_its_sides_share_the_step() -> None:
     _, light, even = total_energy(*two_facets(0.8, 0.0), EnergyTerms(2.0, 1.0, 0.5, 0.25))
     assert light == 0.0
