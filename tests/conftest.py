@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import signal
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -66,9 +67,15 @@ LONGEST = ("test_viewer", "test_docs", "test_studio_lens", "test_gallery")
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Whatever asks a browser belongs to the tools tier, unless it is a sweep."""
+    """Whatever asks a browser belongs to the tools tier, unless it is a sweep; so do most of very many variants."""
     items.sort(key=lambda item: LONGEST.index(item.path.stem) if item.path.stem in LONGEST else len(LONGEST))
+    variants = Counter[str]()
     for item in items:
+        if item.get_closest_marker("every_third"):
+            name = item.nodeid.partition("[")[0]
+            if variants[name] % 3:
+                item.add_marker("tools")
+            variants[name] += 1
         if "browser" in getattr(item, "fixturenames", ()) and not item.get_closest_marker("sweep"):
             item.add_marker("tools")
         if item.get_closest_marker("sweep") and item.get_closest_marker("tools"):

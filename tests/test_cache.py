@@ -261,6 +261,7 @@ def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "cache"
 
 
+@pytest.mark.every_third
 @pytest.mark.parametrize("key", CHANGES)
 def test_another_value_of_one_key_does_what_depends_on_it_and_nothing_else(
     key: str, run: Any, write_spec: SpecWriter, registry: Registry, cache: Cache, filled: Path

@@ -90,6 +90,7 @@ def test_the_small_lens_has_the_facets_of_the_large_one(spec: Path) -> None:
     assert (small.facets, small.pitch_mm, small.microfacets) == (2, plan.lens.pitch_mm, plan.lens.microfacets)
 
 
+@pytest.mark.every_third
 @pytest.mark.parametrize("part", ["match", "refine", "export", "render", "inspect", "analyse"])
 def test_no_part_fails_on_the_small_lens(part: str, spec: Path) -> None:
     """A failure is not reported, so nobody would see that kernels are no longer compiled ahead."""

@@ -292,6 +292,7 @@ def test_walls_of_a_scene_whose_views_share_one_eye_are_those_of_that_eye() -> N
         np.testing.assert_array_equal(a, b)
 
 
+@pytest.mark.every_third
 @pytest.mark.parametrize("cells", ["eye", "vertical"])
 @pytest.mark.parametrize("edge", [RIGHT, UP, LEFT, DOWN])
 def test_a_wall_takes_light_inside_the_slab_and_where_an_eye_sees_it(edge: int, cells: str) -> None:

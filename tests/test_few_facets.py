@@ -96,9 +96,10 @@ def needed(lens: Lens, optics: Optics, offsets: FloatArray, maps: FloatArray) ->
     return found
 
 
+@pytest.mark.every_third
 @pytest.mark.parametrize("vertical", [False, True])
 @pytest.mark.parametrize("gap", [0.0, 20.0])
-@pytest.mark.parametrize("facets", [4, pytest.param(8, marks=pytest.mark.tools), 16])
+@pytest.mark.parametrize("facets", [4, 8, 16])
 def test_nine_points_tell_how_tall_a_lenslet_becomes(facets: int, gap: float, vertical: bool) -> None:
     rng = np.random.default_rng(facets)
     lens = Lens(100.0, 100.0, facets, 22, 40.0, gap_mm=gap, relief_mm=20.0)

@@ -345,6 +345,7 @@ def test_reasoning_never_passes_what_the_search_finds(lens: Lens, seed: int) -> 
     assert not (cannot_cut_itself(shaken) and len(faces_that_cut(shaken)))
 
 
+@pytest.mark.every_third
 @pytest.mark.parametrize("seed", range(30))
 def test_manifold3d_finds_a_cut_where_pymeshlab_does(seed: int) -> None:
     rng = np.random.default_rng(seed)

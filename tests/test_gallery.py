@@ -277,6 +277,7 @@ def test_mistakes_in_the_list_are_named(build: Build, tmp_path: Path, old: str, 
     assert not (tmp_path / "site" / "runs").exists()
 
 
+@pytest.mark.every_third
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [

@@ -129,6 +129,7 @@ def test_swept_surfaces_are_the_minimum_over_all_positions(shape: dict[str, Any]
     assert tight.mean() > 0.97  # rims are upright: there, samples miss what the true sweep cuts
 
 
+@pytest.mark.every_third
 @SHAPES
 @pytest.mark.parametrize("eye", [None, EYE, ASIDE], ids=["vertical", "eye", "undercut"])
 def test_nothing_of_a_rough_lens_is_cut_away(shape: dict[str, Any], eye: Eye, tmp_path: Path) -> None:
@@ -144,6 +145,7 @@ def test_a_gouge_is_noticed(tmp_path: Path) -> None:
     assert run_programs(other, bumpy(None)).fit.gouge_mm > 0.1
 
 
+@pytest.mark.every_third
 @pytest.mark.parametrize("axis", ["x", "y"])
 @pytest.mark.parametrize("shape", [BALL, FLAT, V], ids=["ball", "flat", "v"])
 def test_a_smooth_lens_is_reached_but_for_the_stated_ridges(shape: dict[str, Any], axis: Any, tmp_path: Path) -> None:

@@ -55,6 +55,7 @@ def assert_found(found: Candidates, cut: Assignment) -> None:
     assert (found.errors[:, :, 0] < 2e-3).all()
 
 
+@pytest.mark.every_third
 @pytest.mark.parametrize("turns", [(0, 0), (1, 1), (0, 3)])
 @pytest.mark.parametrize("cells", ["eye", "vertical"])
 @pytest.mark.parametrize("gap", [0.0, 20.0])

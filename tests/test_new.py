@@ -214,6 +214,7 @@ def test_every_shipped_spec_may_be_asked_for_by_its_name(panda: Path, tmp_path: 
             new_spec(name, [panda] * 2, tmp_path / "special.yaml")
 
 
+@pytest.mark.every_third
 @pytest.mark.parametrize("scenario", LAYOUTS)
 @pytest.mark.parametrize("place", ["hand", "wall"])
 def test_facets_are_wider_in_a_hand_and_on_a_wall(scenario: str, place: str, panda: Path, tmp_path: Path) -> None:

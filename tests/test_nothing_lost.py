@@ -179,7 +179,7 @@ def test_signals_at_every_change_lose_nothing(
         ended_by(place, number, at, older, swaps)
 
 
-@pytest.mark.parametrize("step", [40, pytest.param(2, marks=pytest.mark.sweep)])
+@pytest.mark.parametrize("step", [pytest.param(40, marks=pytest.mark.tools), pytest.param(2, marks=pytest.mark.sweep)])
 def test_a_run_that_is_killed_while_it_keeps_results_spoils_none(
     step: int, place: Place, monkeypatch: pytest.MonkeyPatch
 ) -> None:

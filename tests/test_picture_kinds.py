@@ -76,6 +76,7 @@ def mlens(*arguments: object) -> Any:
     return CliRunner().invoke(app, [str(each) for each in arguments])
 
 
+@pytest.mark.every_third
 @pytest.mark.parametrize("name", KINDS)
 def test_every_kind_of_picture_becomes_a_spec_that_is_right(name: str, tmp_path: Path) -> None:
     path, spec = made(name, tmp_path), tmp_path / "my.yaml"

@@ -202,6 +202,7 @@ def test_equal_runs_have_equal_pages(run: Run, tmp_path: Path) -> None:
     assert page.count("data:image/webp") == 2, "the map, and what the lens shows as made"
 
 
+@pytest.mark.tools
 def test_what_was_found_about_the_lens_is_true_of_every_file_that_holds_it(run: Run, folder: Path) -> None:
     """It is not searched for again, and kept as JSON it gives the same page."""
     manifest, plan = json.loads((folder / "manifest.json").read_text()), load_plan(folder / "spec.yaml")
@@ -304,6 +305,7 @@ def test_files_that_differ_are_red(run: Run, tmp_path: Path) -> None:
     assert (finding.status, finding.text) == ("red", "lens.ply holds another body than lens.stl")
 
 
+@pytest.mark.tools
 def test_a_coarse_source_is_amber_then_red(folder: Path) -> None:
     from magiclens.images import read_image, resize, write_png
 

@@ -178,6 +178,7 @@ def of_another_stage(folder: Path) -> None:
     (folder / "manifest.json").write_text(json.dumps(manifest))
 
 
+@pytest.mark.every_third
 @pytest.mark.parametrize("spoil", [grown, of_another_version, of_another_stage])
 def test_what_is_no_longer_what_would_be_made_is_made_again(sweep: Sweeper, spoil: Callable[[Path], None]) -> None:
     done = sweep("lens.facets=2,3")

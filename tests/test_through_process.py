@@ -133,7 +133,8 @@ class TestRefinement:
         seen = Tracer(resolution=128, samples=3).render(scene, as_printed(solid_from_heights(built), printer))
         return float(np.mean([score(s, v.target).psnr_db for s, v in zip(seen, scene.views, strict=True)]))
 
-    @pytest.mark.parametrize("eyes", [1, pytest.param(2, marks=pytest.mark.tools)])
+    @pytest.mark.tools
+    @pytest.mark.parametrize("eyes", [1, 2])
     def test_it_shows_more_as_made(self, eyes: int) -> None:
         scene, start = a_scene(eyes), a_surface()
         refined = refine_through(scene, start, PROCESS, silent)

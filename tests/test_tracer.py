@@ -343,6 +343,7 @@ def followed(solid: Solid, lens: Lens, eye: Eye, q: FloatArray) -> FloatArray:
     return np.zeros(3)
 
 
+@pytest.mark.every_third
 @eyes
 @cuts
 @pytest.mark.parametrize("sides", [{}, {"bleed_mm": 2.0, "floor_mm": 70.0}], ids=["", "leaning sides"])
@@ -485,6 +486,7 @@ def test_a_tall_facet_far_away_darkens_nothing(cut: Eye | None) -> None:
     assert ((tall[..., 2] > 0) == (flat[..., 2] > 0)).all()
 
 
+@pytest.mark.every_third
 @pytest.mark.parametrize("eye", [ABOVE, ASIDE], ids=["eye above", "eye aside"])
 @pytest.mark.parametrize(("cells", "gap", "atol"), [("eye", 0.0, 0.01), ("eye", 60.0, 0.01), ("vertical", 0.0, 0.03)])
 def test_every_facet_shows_the_patch_it_was_assigned(eye: Eye, cells: str, gap: float, atol: float) -> None:

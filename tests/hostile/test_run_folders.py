@@ -164,6 +164,7 @@ MANIFESTS: dict[str, Callable[[Path], None]] = {
 }
 
 
+@pytest.mark.every_third
 @pytest.mark.parametrize("kind", MANIFESTS)
 def test_a_manifest_that_is_wrong_is_refused(kind: str, folder: Path) -> None:
     MANIFESTS[kind](folder)
@@ -257,6 +258,7 @@ FORGERIES: dict[str, tuple[Callable[[Path], str], tuple[int, ...]]] = {
 }
 
 
+@pytest.mark.every_third
 @pytest.mark.parametrize("kind", FORGERIES)
 def test_what_is_made_up_is_found_out_whatever_the_manifest_says(kind: str, folder: Path) -> None:
     spoil, which = FORGERIES[kind]
