@@ -19,8 +19,6 @@ from numba.core.caching import CompileResultCacheImpl, _CacheLocator
 
 from magiclens.kernels.cache_folder import PACKAGE, cache_folder
 
-__all__ = ["njit"]
-
 _UNUSED_DAYS = 30
 """Kernels of other states of the sources are removed when nobody has used them for so long."""
 _COMPILER = f"numba-{numba.__version__}-numpy-{np.__version__}" + "-svml" * bool(config.USING_SVML)  # type: ignore[attr-defined]
