@@ -21,8 +21,8 @@ class PatchMatch(MatchingOptions, Matcher):
     window: LengthOrPercent = Field(relative("50%"), description="side of the search window, of the source's width")
     smallest: float = Field(0.07, gt=0, description="smallest magnitude of the map along an axis")
     largest: float = Field(1.2, gt=0, le=100, description="largest magnitude of the map along an axis")
-    guesses: int = Field(2000, ge=1, description="random patches per part of the window, to start with")
-    rounds: int = Field(6, ge=0, description="rounds of asking neighbours and searching around")
+    guesses: int = Field(2000, ge=1, le=100_000, description="random patches per part of the window, to start with")
+    rounds: int = Field(6, ge=0, le=100, description="rounds of asking neighbours and searching around")
 
     @model_validator(mode="after")
     def _has_scales(self) -> PatchMatch:
