@@ -39,9 +39,9 @@ class Step(Exporter):
 
     @field_validator("departure")
     @classmethod
-    def _is_no_larger_than_any_lens(cls, value: LengthOrPercent) -> LengthOrPercent:
-        if not 0 <= value.mm(1.0) <= 1000:
-            raise ValueError("must be between 0 and 1000 mm, or micro-facets")
+    def _is_one_that_surfaces_can_keep(cls, value: LengthOrPercent) -> LengthOrPercent:
+        if not 1e-3 <= value.mm(1.0) <= 1000:
+            raise ValueError("must be between 1um and 1000mm, or 0.1% and 100000% of a micro-facet")
         return value
 
     def require_possible(self, lens: Lens) -> None:
