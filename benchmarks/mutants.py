@@ -368,6 +368,7 @@ def survivors_of(folder: str, mutants: list[Mutant]) -> list[Mutant]:
         trial = Trial(folder, mutants, json.loads(RECORD.read_text("utf-8")) if RECORD.exists() else {})
         files = [f"{REPOSITORY}/tests/{name}" for name in FOLDERS[folder].tests]
         arguments = ["-q", "-s", "-n", "0", "-p", "no:cacheprovider", "--hypothesis-seed=0"]
+        arguments += ["-m", "not sweep and (not tools or every_third)"]  # all variants of what needs nothing else
         if pytest.main([*arguments, *files], [trial]) == 0:
             survivors.put([mutants.index(mutant) for mutant in trial.survivors])
 

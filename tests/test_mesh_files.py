@@ -123,13 +123,25 @@ def test_ply_has_the_bytes_that_trimesh_writes(tmp_path: Path) -> None:
     assert written(Ply(), tmp_path, mesh).read_bytes() == wanted
 
 
+@pytest.mark.parametrize(
+    ("exporter", "sign"), [(Ply(), b"mikedh"), (Obj(), b"magiclens"), (Obj(), b"\nf ")], ids=["ply", "obj", "rows"]
+)
 @pytest.mark.parametrize("other", [False, True])
-def test_ply_is_read_back_as_trimesh_reads_it(other: bool, tmp_path: Path) -> None:
-    """Our own files at once, and others, here by one letter of the header, by trimesh."""
-    path = written(Ply(), tmp_path, bumpy())
+def test_files_are_read_back_as_by_trimesh(exporter: Exporter, sign: bytes, other: bool, tmp_path: Path) -> None:
+    """Our own files at once, and others, here by a letter more, by trimesh."""
+    path = written(exporter, tmp_path, bumpy())
     if other:
-        path.write_bytes(path.read_bytes().replace(b"mikedh", b"others"))
-    assert np.array_equal(read_mesh_file(path).triangles, corners_read(path))
+        path.write_bytes(path.read_bytes().replace(sign, sign + b" "))
+    assert np.array_equal(read_mesh_file(path).triangles, corners_read(path).astype(np.float32))
+
+
+@pytest.mark.parametrize("face", [b"f 1 2 0", b"f 1 2 999999", b"f 1 2 -1000000"])
+def test_obj_with_faces_of_other_vertices_is_not_read(face: bytes, tmp_path: Path) -> None:
+    path = written(Obj(), tmp_path, bumpy())
+    rows = path.read_bytes().splitlines()
+    path.write_bytes(b"\n".join([*rows[:-1], face, b""]))
+    with pytest.raises(ValueError, match="vertices that are not there"):
+        read_mesh_file(path)
 
 
 @pytest.mark.parametrize("damage", ["cut", "face of four", "beyond", "before"])

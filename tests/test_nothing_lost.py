@@ -158,7 +158,7 @@ def ended_by(place: Place, number: signal.Signals, at: int, older: bool, swaps: 
 
 @pytest.mark.parametrize(
     "number",
-    [signal.SIGKILL, *(pytest.param(each, marks=pytest.mark.tools) for each in (signal.SIGTERM, signal.SIGINT))],
+    [pytest.param(each, marks=[pytest.mark.tools] * (each != signal.SIGKILL)) for each in CODES],
     ids=lambda number: number.name,
 )
 def test_a_signal_at_any_change_loses_nothing(number: signal.Signals, place: Place) -> None:

@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from PIL import Image
-from playwright.sync_api import Browser, FileChooser, Page, Route, TimeoutError, expect
+from playwright.sync_api import Browser, Page, Route, expect
 
 from browsers import listen
 from test_studio import png
@@ -93,21 +92,12 @@ def serious(tab: Page) -> list[str]:
     ]
 
 
-def dialog_after_space(tab: Page) -> FileChooser:
-    """The file dialog that Space opens; a busy Chromium drops the first one now and then, and users press again."""
-    for _ in range(3):
-        expect(tab.locator("#files")).to_be_focused()
-        with suppress(TimeoutError):
-            with tab.expect_file_chooser(timeout=10_000) as chooser:
-                tab.keyboard.press("Space")
-            return chooser.value
-    pytest.fail("no file dialog opened")
-
-
 def test_from_a_picture_to_a_job_by_keyboard_alone(browser: Browser, address: str, picture: Path) -> None:
     tab, complaints = visit(browser, address, 1440)
+    # listened to from the start: Chromium may open a dialog before it learns that somebody waits for it
+    tab.on("filechooser", lambda dialog: dialog.set_files(picture))
     press_until(tab, "#files")
-    dialog_after_space(tab).set_files(picture)
+    tab.keyboard.press("Space")
     expect(tab.locator("#status")).to_have_text("star.png is added")
     press_until(tab, "[name=machine]")
     tab.keyboard.type("resin printer with an 8")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,23 @@ from magiclens.exporting.digits_kernels import read_rows, write_rows
 
 _WIDEST = 21
 """Number of characters of the longest number: a sign, 19 digits, a point."""
+_CHUNK = 1 << 16
+"""Rows of numbers that are turned to text at one time."""
+
+
+def rounded_rows(numbers: FloatArray | IntArray, around: Sequence[bytes], decimals: int = 0) -> Iterator[bytes]:
+    """Rows of numbers as text, in pieces.
+
+    Args:
+        numbers: (rows, K) what to write.
+        around: K + 1 texts, before, between and after the numbers of each row.
+        decimals: digits after the point, at most, to which numbers are rounded.
+
+    Yields:
+        The text of some rows, ASCII.
+    """
+    for k in range(0, len(numbers), _CHUNK):
+        yield text_rows(np.rint(numbers[k : k + _CHUNK] * 10**decimals).astype(np.int64), around, decimals)
 
 
 def text_rows(numbers: IntArray, around: Sequence[bytes], decimals: int = 0) -> bytes:

@@ -7,8 +7,6 @@ from pathlib import Path
 from typing import ClassVar
 from zipfile import ZipFile
 
-import numpy as np
-
 from magiclens.contract.artifacts import Scene, Solid
 from magiclens.exporting.archive import entry
 from magiclens.exporting.mesh_files import MeshExporter
@@ -17,8 +15,6 @@ MODEL = "3D/3dmodel.model"
 """Where the package has its mesh."""
 _NANOMETRE = 6
 """Number of decimals of coordinates in mm, so that they are exact to the nanometre."""
-_CHUNK = 1 << 16
-"""Rows of numbers that are turned to text at one time."""
 
 _TYPES = """<?xml version="1.0" encoding="UTF-8"?>
 <Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types">
@@ -81,15 +77,12 @@ class ThreeMf(MeshExporter):
 
 def _model(scene: Scene, solid: Solid) -> Iterator[bytes]:
     """The XML of the model, in pieces."""
-    from magiclens.exporting.digits import text_rows
+    from magiclens.exporting.digits import rounded_rows
 
     yield _HEAD.format(size=scene.lens.size_mm, ior=scene.lens.ior).encode()
-    for k in range(0, len(solid.vertices), _CHUNK):
-        counts = np.rint(solid.vertices[k : k + _CHUNK] * 10**_NANOMETRE).astype(np.int64)
-        yield text_rows(counts, VERTEX, _NANOMETRE)
+    yield from rounded_rows(solid.vertices, VERTEX, _NANOMETRE)
     yield b"</vertices>\n<triangles>\n"
-    for k in range(0, len(solid.faces), _CHUNK):
-        yield text_rows(solid.faces[k : k + _CHUNK].astype(np.int64), TRIANGLE)
+    yield from rounded_rows(solid.faces, TRIANGLE)
     # + 0.0 turns -0.0 into 0.0, which is written without a sign
     moved = (f"{-low + 0.0:.6f}" for low in solid.vertices.min(axis=0))
     yield _TAIL.format(" ".join(moved)).encode()

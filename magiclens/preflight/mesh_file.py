@@ -13,7 +13,7 @@ import numpy as np
 
 from magiclens.contract.artifacts import FloatArray, IntArray, Lens, Solid
 from magiclens.exporting.digits import numbers_of
-from magiclens.exporting.mesh_files import PLY_FACE, PLY_HEAD
+from magiclens.exporting.mesh_files import OBJ_FACE, OBJ_HEAD, OBJ_VERTEX, PLY_FACE, PLY_HEAD
 from magiclens.exporting.three_mf import MODEL, TRIANGLE, VERTEX
 
 _SUFFIXES = ("stl", "ply", "glb", "3mf", "obj")
@@ -131,6 +131,8 @@ def read_mesh_file(path: Path) -> MeshFile:
         return MeshFile(path, _three_mf(path))
     if path.suffix == ".ply" and (triangles := _own_ply(path.read_bytes())) is not None:
         return MeshFile(path, triangles)
+    if path.suffix == ".obj" and (triangles := _own_obj(path.read_bytes())) is not None:
+        return MeshFile(path, triangles)
     from trimesh import load_mesh
 
     mesh = load_mesh(str(path), process=False)
@@ -155,19 +157,32 @@ def _own_ply(content: bytes) -> FloatArray | None:
         return None
     points = np.frombuffer(content, "<f4", 3 * vertices, len(head)).reshape(-1, 3)
     listed = np.frombuffer(content, PLY_FACE, faces, len(head) + points.nbytes)
-    corners = listed["corners"]
-    if (listed["count"] != 3).any() or ((corners < 0) | (corners >= vertices)).any():
+    if (listed["count"] != 3).any():
+        raise ValueError("its faces are not triangles")
+    return _triangles(points, listed["corners"])
+
+
+def _own_obj(content: bytes) -> FloatArray | None:
+    """(F, 3, 3) float32: the triangles of an OBJ file as our exporter writes it; None if somebody else has."""
+    end = content.find(b"\n%s" % OBJ_FACE[0]) + 1
+    if not content.startswith(OBJ_HEAD) or end < len(OBJ_HEAD):
+        return None
+    vertices, faces = numbers_of(content[len(OBJ_HEAD) : end], OBJ_VERTEX), numbers_of(content[end:], OBJ_FACE)
+    return None if vertices is None or faces is None else _triangles(vertices, faces.astype(np.int64) - 1)
+
+
+def _triangles(vertices: FloatArray, faces: IntArray) -> FloatArray:
+    """(F, 3, 3) float32: the corners of faces. Raises ValueError if there are no such vertices."""
+    if ((faces < 0) | (faces >= len(vertices))).any():
         raise ValueError("its faces name vertices that are not there")
-    triangles: FloatArray = points[corners]
+    triangles: FloatArray = vertices.astype(np.float32)[faces]
     return triangles
 
 
 def _three_mf(path: Path) -> FloatArray:
     """(F, 3, 3) float32: the triangles of the one mesh of a 3MF package in millimetres, without its placement."""
     with ZipFile(path) as archive:
-        vertices, faces = _own_three_mf(archive.read(MODEL)) or _any_three_mf(archive)
-    triangles: FloatArray = vertices.astype(np.float32)[faces]
-    return triangles
+        return _triangles(*(_own_three_mf(archive.read(MODEL)) or _any_three_mf(archive)))
 
 
 def _own_three_mf(model: bytes) -> tuple[FloatArray, IntArray] | None:
