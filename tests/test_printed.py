@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 from typing import Any
+from weakref import ref
 
 import numpy as np
 import pytest
@@ -54,6 +56,23 @@ def test_a_print_is_a_closed_body_of_the_same_volume(options: dict[str, Any]) ->
     assert findings.flaws == ()
     assert findings.metrics["bodies"] == 1
     assert volume_of(made) == pytest.approx(volume_of(solid), rel=0.02)
+
+
+def test_a_body_is_made_once_for_those_who_ask_again_and_forgotten_with_its_solid() -> None:
+    solid = bumpy()
+    made = as_printed(solid, printer())
+    assert as_printed(solid, printer()) is made
+    assert as_printed(bumpy(), printer()) is not made
+    rough = as_printed(solid, printer(**RAW))
+    assert not np.array_equal(heights(rough), heights(made))
+    forgotten, remembered = ref(made), ref(rough)
+    del made, rough
+    gc.collect()
+    assert forgotten() is None
+    assert remembered() is not None
+    del solid
+    gc.collect()
+    assert remembered() is None
 
 
 def test_raw_prints_have_whole_layers_each_half_a_layer_off_at_most() -> None:

@@ -18,6 +18,7 @@ from fabricated import EYE, LENS, Eye, box, bumpy, flat, together, winding, writ
 from magiclens.contract.artifacts import BoolArray, FloatArray, Lens, Scene, Solid
 from magiclens.contract.errors import InputError
 from magiclens.exporting.mesh_files import Stl
+from magiclens.exporting.png import png
 from magiclens.exporting.slices import Sl1, Slices
 from magiclens.geometry.solid import volume
 from magiclens.plan.compile import load_plan
@@ -136,6 +137,19 @@ def test_pixels_may_be_oblong_and_files_know_it(tmp_path: Path) -> None:
     assert image.info["dpi"] == pytest.approx((600, 300), rel=1e-4)
     assert (facts["pixels"], facts["layers"]) == ([236, 118], 8)
     assert facts["pixel_mm"] == pytest.approx([25.4 / 600, 25.4 / 300])
+
+
+@pytest.mark.parametrize("width", [1, 8, 13])
+def test_layers_are_png_files_of_bits_or_of_grey(width: int) -> None:
+    pixels = np.random.default_rng(width).integers(0, 2, (5, width), np.uint8)
+    bits, grey = png(np.packbits(pixels, axis=1), (600, 300), width), png(255 * pixels, (600, 300))
+    for content, mode in ((bits, "1"), (grey, "L")):
+        image = Image.open(io.BytesIO(content))
+        image.verify()  # that every part has the right checksum
+        image = Image.open(io.BytesIO(content))
+        assert image.mode == mode
+        assert image.info["dpi"] == pytest.approx((600, 300), rel=1e-4)
+        assert np.array_equal(np.asarray(image) > 0, pixels > 0)
 
 
 def test_layers_that_are_alike_have_equal_bytes(tmp_path: Path) -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import pytest
 from numba import njit
 
-from magiclens.kernels.threads import LoopPart, in_threads, side_by_side
+from magiclens.kernels.threads import LoopPart, in_threads, side_by_side, side_by_side_ahead
 
 
 @njit(nogil=True)
@@ -66,3 +68,27 @@ def test_functions_side_by_side_return_in_order_and_may_run_kernels(monkeypatch:
         return float(out.sum())
 
     assert side_by_side(total, range(1, 40)) == [n * (n + 1) for n in range(1, 40)]
+
+
+def test_results_come_in_order_and_only_a_few_are_ready_ahead(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("numba.get_num_threads", lambda: 2)
+    asked: list[int] = []
+
+    def items() -> Iterator[int]:
+        for k in range(50):
+            asked.append(k)
+            yield k
+
+    results = side_by_side_ahead(lambda k: 2 * k, items())
+    for k in range(50):
+        assert next(results) == 2 * k
+        assert len(asked) <= k + 5
+    assert list(results) == []
+    assert list(side_by_side_ahead(str, [])) == []
+
+
+def test_what_one_of_many_raises_is_raised_in_its_turn() -> None:
+    results = side_by_side_ahead(lambda k: 1 // k, [1, 0, 1])
+    assert next(results) == 1
+    with pytest.raises(ZeroDivisionError):
+        next(results)

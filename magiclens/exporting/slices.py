@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import json
-import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
-from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 from zipfile import ZipFile
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from magiclens.contract.artifacts import Lens, Scene, Solid
@@ -20,14 +18,13 @@ from magiclens.contract.errors import InputError
 from magiclens.contract.stages import Exporter
 from magiclens.contract.units import LENGTH, Length
 from magiclens.exporting.archive import entry
+from magiclens.exporting.png import png
 from magiclens.processes.diffusion import diffusion_weights
 from magiclens.processes.layers import Grey, Slicing
 from magiclens.processes.linear import LinearProcess
 from magiclens.processes.tilting import Tilt
 
 if TYPE_CHECKING:
-    from PIL.Image import Image
-
     from magiclens.exporting.voxels import VoxelGrid
 
 _MOST_PIXELS = 10**8
@@ -93,58 +90,46 @@ class LayerStack(Exporter):
             wish = f"there would be {layers} layers, more than {_MOST_LAYERS:,}"
             raise InputError(f"{wish}; raise layer, now {LENGTH.text(self.layer)}", keys=("layer",))
 
-    def _layers(self, solid: Solid, grid: VoxelGrid) -> Iterator[tuple[Image | None, float]]:
-        """Every layer from the lowest up, row 0 at +y: its picture, None if it is like the last; its filled voxels."""
-        from PIL import Image
+    def _layers(self, solid: Solid, grid: VoxelGrid) -> Iterator[tuple[NDArray[np.uint8] | None, float]]:
+        """Every layer from the lowest up, row 0 at +y: its pixels, None if it is like the last; its filled voxels.
 
+        Pixels are bits, see ``Bitmap``, or bytes if they are grey.
+        """
         from magiclens.exporting.voxels import grey_layers, layers
 
-        size, filled, flat = (grid.shape[2], grid.shape[1]), 0.0, self.tilt is None
+        filled, flat = 0.0, self.tilt is None
         weights = diffusion_weights(self.process, grid.pixel_mm)
         if self.grey:
             share = self.grey.share_of_pixels()
             for pixels, changed in grey_layers(solid, grid, self.slicing, self.grey, weights, flat):
-                image = Image.fromarray(pixels) if changed else None
-                if image:
-                    filled = float(np.array(image.histogram()) @ share)
-                yield image, filled
+                if changed:
+                    filled = float(np.bincount(pixels.ravel(), minlength=256) @ share)
+                yield pixels.copy() if changed else None, filled
         else:
             for bitmap, changed in layers(solid, grid, self.slicing, weights, flat):
                 if changed:
                     filled = float(np.bitwise_count(bitmap).sum(dtype=np.int64))
-                yield Image.frombytes("1", size, bitmap.tobytes()) if changed else None, filled
+                yield bitmap.copy() if changed else None, filled
 
-    def _write_layers(
-        self,
-        archive: ZipFile,
-        solid: Solid,
-        grid: VoxelGrid,
-        name: str,
-        framed: Callable[[Image], Image] = lambda image: image,
-    ) -> float:
-        """Write a PNG per layer; their filled volume, mm^3.
+    def _write_layers(self, archive: ZipFile, solid: Solid, grid: VoxelGrid, name: str) -> float:
+        """Write a PNG per layer; their filled volume, mm^3. The number of the layer is formatted into ``name``."""
+        from magiclens.kernels.threads import side_by_side_ahead
 
-        Args:
-            archive: To write to.
-            solid: The solid.
-            grid: Where its voxels are.
-            name: Of files, to format with the number of the layer.
-            framed: Makes the picture of a file from that of a layer.
-        """
-        total, png = 0.0, b""
-        for k, (image, filled) in enumerate(self._layers(solid, grid)):
+        def compressed(layer: tuple[NDArray[np.uint8] | None, float]) -> tuple[bytes | None, float]:
+            pixels, filled = layer
+            return None if pixels is None else self._png(pixels, grid), filled
+
+        total, file = 0.0, b""
+        for k, (changed, filled) in enumerate(side_by_side_ahead(compressed, self._layers(solid, grid))):
             total += filled
-            png = self._png(framed(image)) if image else png  # layers that are alike are compressed once
+            file = changed or file  # layers that are alike are compressed once
             # a repeated layer is most often a whole square, whose file shrinks to a hundredth once more
-            archive.writestr(entry(name.format(k), packed=image is None), png)
+            archive.writestr(entry(name.format(k), packed=changed is None), file)
         return total * grid.voxel_mm3
 
-    def _png(self, image: Image) -> bytes:
-        """A layer as a file that knows its physical size."""
-        file = BytesIO()
-        # layers are runs of equal pixels: to look for nothing else is as quick as level 1 and a quarter smaller
-        image.save(file, format="PNG", compress_level=1, compress_type=zlib.Z_RLE, dpi=(self.dpi_x, self.dpi_y))
-        return file.getvalue()
+    def _png(self, pixels: NDArray[np.uint8], grid: VoxelGrid) -> bytes:
+        """A layer as a file."""
+        return png(pixels, (self.dpi_x, self.dpi_y), 0 if self.grey else grid.shape[2])
 
 
 class Slices(LayerStack):
@@ -199,11 +184,11 @@ class Sl1(LayerStack):
     def export(self, scene: Scene, solid: Solid, path: Path) -> None:
         """Write the archive. Raises InputError if the stack would be too large, or the lens larger than the screen."""
         solid = self._standing(solid)
-        grid, screen = self._grid(solid), self._screen()
+        grid = self._grid(solid)
         with ZipFile(path, "w") as archive:
-            filled_mm3 = self._write_layers(archive, solid, grid, "lens{:05d}.png", partial(_on_screen, screen=screen))
+            filled_mm3 = self._write_layers(archive, solid, grid, "lens{:05d}.png")
             archive.writestr(entry("config.ini"), _ini(self._job(grid.shape[0], filled_mm3)))
-            archive.writestr(entry("prusaslicer.ini"), _ini(self._settings(screen)))
+            archive.writestr(entry("prusaslicer.ini"), _ini(self._settings()))
 
     def _require_room(self, shape: tuple[int, int, int]) -> None:
         super()._require_room(shape)
@@ -216,6 +201,16 @@ class Sl1(LayerStack):
     def _screen(self) -> tuple[int, int]:
         """Columns and rows of the screen."""
         return round(self.bed[0] * self.dpi_x / 25.4), round(self.bed[1] * self.dpi_y / 25.4)
+
+    def _png(self, pixels: NDArray[np.uint8], grid: VoxelGrid) -> bytes:
+        """A layer, mirrored left to right, in the middle of a dark screen."""
+        _, rows, columns = grid.shape
+        grey = pixels if self.grey else np.unpackbits(pixels, axis=1, count=columns) * np.uint8(255)
+        width, depth = self._screen()
+        screen = np.zeros((depth, width), np.uint8)
+        left, top = (width - columns) // 2, (depth - rows) // 2
+        screen[top : top + rows, left : left + columns] = grey[:, ::-1]
+        return png(screen, (self.dpi_x, self.dpi_y))
 
     def _job(self, layers: int, filled_mm3: float) -> dict[str, object]:
         return {
@@ -231,7 +226,8 @@ class Sl1(LayerStack):
             "usedMaterial": f"{filled_mm3 / 1000:.6g}",
         }
 
-    def _settings(self, screen: tuple[int, int]) -> dict[str, object]:
+    def _settings(self) -> dict[str, object]:
+        screen = self._screen()
         return {
             "bed_shape": f"0x0,{self.bed[0]:g}x0,{self.bed[0]:g}x{self.bed[1]:g},0x{self.bed[1]:g}",
             "display_height": f"{self.bed[1]:g}",
@@ -250,16 +246,6 @@ class Sl1(LayerStack):
             "max_print_height": f"{self.bed[2]:g}",
             "printer_technology": "SLA",
         }
-
-
-def _on_screen(image: Image, screen: tuple[int, int]) -> Image:
-    """A layer, mirrored left to right, in the middle of a dark screen."""
-    from PIL import Image
-
-    whole = np.zeros(screen[::-1], np.uint8)
-    left, top = (screen[0] - image.width) // 2, (screen[1] - image.height) // 2
-    whole[top : top + image.height, left : left + image.width] = np.asarray(image.convert("L"))[:, ::-1]
-    return Image.fromarray(whole)
 
 
 def _ini(settings: dict[str, object]) -> str:

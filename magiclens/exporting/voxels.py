@@ -177,7 +177,8 @@ def _feet(solid: Solid, grid: VoxelGrid, tops: IntArray, steps: int, on_plate: b
 
 def _by_top(tops: IntArray, highest: int) -> tuple[IntArray, IntArray]:
     """Columns in the order of their tops, and where each top from 0 to the highest starts; at last their number."""
-    order = np.argsort(tops, kind="stable").astype(np.int32)
+    # integers of 16 bits are sorted several times as fast
+    order = np.argsort(tops.astype(np.min_scalar_type(highest)), kind="stable").astype(np.int32)
     return order, np.searchsorted(tops[order], np.arange(highest + 2), "left")
 
 

@@ -242,7 +242,9 @@ class WholeTop:
         unpreconditioned = left.copy()  # S^-1 direction, which the pull needs
         for _ in range(GRADIENT_STEPS):
             slopes = raster_slopes(self.made(direction), self.raster.pitch)
-            forces = self._forces(change_of_residuals(slopes, self.raster, self.gradients)) + full * slopes
+            forces = self._forces(change_of_residuals(slopes, self.raster, self.gradients))
+            slopes *= full  # in place: new arrays of this size take longer than what is computed
+            forces += slopes
             image = self._pulled_back(forces) + np.float32(pull) * unpreconditioned
             length = np.float32(size / _dot(direction, image))
             x += length * direction

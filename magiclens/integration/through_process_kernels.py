@@ -276,17 +276,24 @@ def change_of_residuals(slopes: FloatArray, raster: MadeRaster, gradients: Float
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "arcp"})
-def _forces_part(part, residuals, raster, gradients, out):
-    """Part of the rows of blocks, see ``forces_of_residuals``; out: (B, b + 1, B b + 1, 2), rows shared by none."""
+def _forces_part(part, residuals, raster, gradients, forces, below):
+    """Part of the rows of blocks, see ``forces_of_residuals``; below: (B, B b + 1, 2), on the row under each."""
     b, channels = raster.block, residuals.shape[2]
+    rows = np.empty((b + 1, raster.blocks * b + 1, 2), np.float32)
     for bi in range(part.first, part.end):
+        rows[:] = 0.0
         for bj in range(raster.blocks):
             for c in range(channels):
                 r = residuals[bi, bj, c]
                 for ii in range(b + 1):
                     for jj in range(b + 1):
                         for axis in range(2):
-                            out[bi, ii, bj * b + jj, axis] += r * gradients[bi, bj, c, ii, jj, axis]
+                            rows[ii, bj * b + jj, axis] += r * gradients[bi, bj, c, ii, jj, axis]
+        for ii in range(b):
+            for j in range(rows.shape[1]):
+                for axis in range(2):
+                    forces[axis, raster.first + bi * b + ii, raster.first + j] = rows[ii, j, axis]
+        below[bi] = rows[b]
 
 
 def forces_of_residuals(
@@ -295,13 +302,11 @@ def forces_of_residuals(
     """The transpose of ``change_of_residuals``: forces on slopes (2, *shape) float32 of residuals (B, B, C) float32."""
     b, count = raster.block, raster.blocks
     side = count * b + 1
-    rows = np.zeros((count, b + 1, side, 2), np.float32)
-    in_threads(_forces_part, count, residuals, raster, gradients, rows)
-    forces = np.zeros((2, *shape), np.float32)
+    forces, below = np.zeros((2, *shape), np.float32), np.empty((count, side, 2), np.float32)
+    in_threads(_forces_part, count, residuals, raster, gradients, forces, below)
+    # a row of blocks shares its last nodes with the next, which other threads have written
     inner = forces[:, raster.first : raster.first + side, raster.first : raster.first + side]
-    # neighbouring blocks share their border nodes, hence one row of every block after the other
-    for ii in range(b + 1):
-        inner[:, ii : ii + (count - 1) * b + 1 : b] += np.moveaxis(rows[:, ii], -1, 0)
+    inner[:, b::b] += np.moveaxis(below, -1, 0)
     return forces
 
 

@@ -6,8 +6,9 @@ the time of a first run. A plain loop that is compiled with ``nogil`` runs in th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache
 from itertools import pairwise
 from typing import Any, NamedTuple, TypeVar
@@ -71,6 +72,26 @@ def side_by_side(work: Callable[[_Item], _Result], items: Iterable[_Item]) -> li
     # threads of their own: those of kernels would wait for each other
     with ThreadPoolExecutor(get_num_threads(), "side by side") as pool:
         return list(pool.map(work, items))
+
+
+def side_by_side_ahead(work: Callable[[_Item], _Result], items: Iterable[_Item]) -> Iterator[_Result]:
+    """The same, one after the other: no more than a few results are ready before they are asked for.
+
+    Args:
+        work: See ``side_by_side``.
+        items: Its arguments, which are asked for in this thread.
+    """
+    from numba import get_num_threads
+
+    threads = get_num_threads()
+    with ThreadPoolExecutor(threads, "side by side") as pool:
+        ahead: deque[Future[_Result]] = deque()
+        for item in items:
+            ahead.append(pool.submit(work, item))
+            if len(ahead) > 2 * threads:
+                yield ahead.popleft().result()
+        while ahead:
+            yield ahead.popleft().result()
 
 
 @cache

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from weakref import finalize
 
 import numpy as np
 
@@ -19,6 +20,9 @@ Columns = tuple[FloatArray, FloatArray, FloatArray]
 _MOST_PIXELS, _MOST_POINTS = 40_000_000, 8_000_000
 """Most columns of pixels, which are joined on large lenses, and most points of the surface that is traced."""
 
+_bodies: dict[int, tuple[Printer, Solid]] = {}
+"""The last body of each solid by the solid's identity, for as long as somebody has the solid."""
+
 
 def as_printed(solid: Solid, printer: Printer) -> Solid:
     """The body that a printer makes of a solid, layer by layer, at the printer's own pixels.
@@ -27,8 +31,17 @@ def as_printed(solid: Solid, printer: Printer) -> Solid:
     evens the surface out, see ``LinearProcess``. Undercuts fill with support and are lost. The grid's cells are
     vertical (``eye_mm`` is None), and the solid's sides are part of it. A part that is printed tilted is turned back
     before its finish; its flat side is taken as flat, see ``Printer.growth_mm``.
+
+    Whoever asks again gets the same body: several analyses of a run look through it, and it takes seconds.
     """
-    return _finished(in_layers, solid, printer)
+    known = _bodies.get(id(solid))
+    if known and known[0] == printer:
+        return known[1]
+    if not known:
+        finalize(solid, _bodies.pop, id(solid))
+    body = _finished(in_layers, solid, printer)
+    _bodies[id(solid)] = printer, body
+    return body
 
 
 def without_layers(solid: Solid, printer: Printer) -> Solid:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -17,7 +17,7 @@ _RESOLUTION = 512
 
 
 def ray_errors(
-    lens: Lens, view: View, solid: Solid, printer: Printer, slicings: Iterable[Slicing]
+    lens: Lens, view: View, solid: Solid, printer: Printer, slicings: Sequence[Slicing]
 ) -> dict[Slicing, FloatArray]:
     """Errors of a view's rays by layers alone, for every slicing.
 
@@ -32,8 +32,11 @@ def ray_errors(
         (R, R) mm on the sheet, lens frame; nan where a ray does not arrive.
     """
     right = _landings(lens, view, without_layers(solid, printer))
-    made = ((each, as_printed(solid, printer.model_copy(update={"slicing": each}))) for each in slicings)
-    return {each: np.hypot(*np.moveaxis(_landings(lens, view, body) - right, -1, 0)) for each, body in made}
+    errors = {}
+    for each in sorted(slicings, key=lambda slicing: slicing != printer.slicing):  # its own body may be there already
+        body = as_printed(solid, printer.model_copy(update={"slicing": each}))
+        errors[each] = np.hypot(*np.moveaxis(_landings(lens, view, body) - right, -1, 0))
+    return {each: errors[each] for each in slicings}
 
 
 def _landings(lens: Lens, view: View, body: Solid) -> FloatArray:
