@@ -37,9 +37,9 @@ def as_printed(solid: Solid, printer: Printer) -> Solid:
     known = _bodies.get(id(solid))
     if known and known[0] == printer:
         return known[1]
+    body = _finished(in_layers, solid, printer)
     if not known:
         finalize(solid, _bodies.pop, id(solid))
-    body = _finished(in_layers, solid, printer)
     _bodies[id(solid)] = printer, body
     return body
 
