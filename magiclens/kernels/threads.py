@@ -67,11 +67,7 @@ def side_by_side(work: Callable[[_Item], _Result], items: Iterable[_Item]) -> li
             and SciPy.
         items: Its arguments.
     """
-    from numba import get_num_threads
-
-    # threads of their own: those of kernels would wait for each other
-    with ThreadPoolExecutor(get_num_threads(), "side by side") as pool:
-        return list(pool.map(work, items))
+    return list(side_by_side_ahead(work, items))
 
 
 def side_by_side_ahead(work: Callable[[_Item], _Result], items: Iterable[_Item]) -> Iterator[_Result]:
@@ -84,6 +80,7 @@ def side_by_side_ahead(work: Callable[[_Item], _Result], items: Iterable[_Item])
     from numba import get_num_threads
 
     threads = get_num_threads()
+    # threads of their own: those of kernels would wait for each other
     with ThreadPoolExecutor(threads, "side by side") as pool:
         ahead: deque[Future[_Result]] = deque()
         for item in items:
