@@ -8,12 +8,15 @@ import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from threading import Barrier, Lock
+from time import sleep
 from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 
+from magiclens import Analysis, Findings
 from magiclens.contract.artifacts import Assignment, Candidates, HeightField, Scene, Solid
 from magiclens.contract.errors import InputError, StageError
 from magiclens.contract.hookspecs import hookimpl
@@ -367,6 +370,53 @@ def test_progress_names_every_stage(observer_class: type[Any], run: Runner, tmp_
     text = log.read_text()
     for name in ("pictures", "matcher toy", "annealer toy", "meshing", "exporter toy", "renderer tracer"):
         assert name in text
+
+
+class Meeting(ToyExporter):
+    """Waits until an analysis works."""
+
+    place: ClassVar[Barrier]
+
+    def export(self, scene: Scene, solid: Solid, path: Path) -> None:
+        self.place.wait(20)
+        super().export(scene, solid, path)
+
+
+class OneAtATime(Observer):
+    """Fails if two threads tell it something at the same time."""
+
+    def __init__(self) -> None:
+        self.told: list[str] = []
+        self._talking = Lock()
+
+    def started(self, name: str, facets: int) -> None:
+        self._listen(name)
+
+    def finished(self, name: str, seconds: float) -> None:
+        self._listen(name)
+
+    def _listen(self, name: str) -> None:
+        assert self._talking.acquire(blocking=False)
+        sleep(0.02)
+        self.told.append(name)
+        self._talking.release()
+
+
+def test_exporters_work_while_analyses_do(run: Runner) -> None:
+    Meeting.place = Barrier(2)
+
+    def meet(plan: Any, result: Any) -> Findings:
+        Meeting.place.wait(20)
+        return Findings({"met": 1.0})
+
+    registry = replaced(Meeting)
+    hook = hookimpl(lambda: [Analysis("meeting", compute=meet)], specname="mlens_analyses")
+    registry.register(SimpleNamespace(mlens_analyses=hook), Plugin("meeting", "meeting", "1"))
+    observer = OneAtATime()
+    made = run(stages=registry, observer=observer)
+    assert made.manifest["metrics"]["met"] == 1.0
+    assert (made.folder / "lens.toy").is_file()
+    assert observer.told.count("exporter toy") == observer.told.count("meeting") == 2
 
 
 def test_metrics_that_are_no_numbers_become_null(run: Runner) -> None:

@@ -56,7 +56,7 @@ class Questions:
     def scores(self) -> dict[str, list[Score]]:
         """How near the pictures of each renderer are to their targets."""
 
-        def compare() -> dict[str, list[tuple[float, float, float]]]:
+        def compare(_: Path) -> dict[str, list[tuple[float, float, float]]]:
             from magiclens.images.score import score
 
             views = self._drafts.scene.value.views
@@ -74,7 +74,7 @@ class Questions:
     def measures(self) -> dict[str, float]:
         """The metrics of all artifacts."""
 
-        def collect() -> dict[str, float]:
+        def collect(_: Path) -> dict[str, float]:
             made = self.result
             every = (made.candidates, made.assignment, made.height_field, made.unfinished, made.solid)
             return {name: float(value) for each in every for name, value in each.metrics.items()}
@@ -112,33 +112,34 @@ class Questions:
         if not meshes:
             return
 
-        def write() -> None:
+        def write(folder: Path) -> None:
             from magiclens.preflight.checks import run_preflight
             from magiclens.preflight.page import write_preflight
 
             solid = self._drafts.solid.value
-            write_preflight(run_preflight(self._folder, facts, self._shown_plan, solid, keep), self._folder)
+            check = partial(run_preflight, self._folder, facts, self._shown_plan, solid, keep)
+            self._steps.part("preflight", lambda: write_preflight(check(), folder))
 
         def keep(check: Callable[[], Preflight]) -> Preflight:
             from magiclens.preflight.finding import Preflight
 
             made_of = self._made_of("findings", facts=seen)
-            work = lambda: check().as_plain()  # noqa: E731
+            work = lambda _: check().as_plain()  # noqa: E731
             return Preflight.from_plain(self._steps.files("findings", made_of, self._folder, work, shown=False))
 
         seen = {name: facts[name] for name in ("name", "metrics", "views")}
         hashes = {path.name: file_hash(path) for path in meshes} if self._steps.cache else {}
         made_of = self._made_of("preflight", facts=seen, meshes=hashes)
-        self._steps.files("preflight", made_of, self._folder, partial(self._steps.part, "preflight", write))
+        self._steps.files("preflight", made_of, self._folder, write)
 
     def _answer(self, planned: PlannedAnalysis) -> Answer | None:
         findings = Kept(None, partial(self._findings, planned))
 
-        def compute() -> dict[str, float] | None:
+        def compute(folder: Path) -> dict[str, float] | None:
             found = self._steps.part(planned.name, lambda: findings.value)
             if found is None:
                 return None
-            write_figure_pictures(found.pictures, self._folder)
+            write_figure_pictures(found.pictures, folder)
             return {name: float(value) for name, value in found.metrics.items()}
 
         made_of = self._made_of_answer(f"analysis {planned.name}", planned)
@@ -156,8 +157,8 @@ class Questions:
     def _blocks(self, answer: Answer, metrics: Mapping[str, float | None], shown: Kept[RunResult]) -> list[str]:
         from magiclens.report.write import write_figure
 
-        def draw() -> list[str]:
-            return [write_figure(figure, self._folder) for figure in self._figures(answer, shown.value)]
+        def draw(folder: Path) -> list[str]:
+            return [write_figure(figure, folder) for figure in self._figures(answer, shown.value)]
 
         name = f"figures of {answer.planned.name}"
         made_of = self._made_of_answer(name, answer.planned, metrics=dict(metrics))

@@ -12,7 +12,7 @@ from magiclens.cache.store import Cache, Entry
 from magiclens.plan.compile import Plan
 from magiclens.running.answers import Questions
 from magiclens.running.ingredients import Kept, MadeOf, generator_in, key_of, of_run
-from magiclens.running.making import make_lens
+from magiclens.running.making import export_lens, make_lens
 from magiclens.running.observers import Observer
 from magiclens.running.steps import Draws, Steps
 
@@ -55,6 +55,7 @@ def forecast(plan: Plan, cache: Cache | None) -> list[Expected]:
     if cache is None:
         return [Expected(step.name, False, ("nothing is kept: the cache is off",)) for step in plan.steps]
     drafts = make_lens(plan, steps.known(plan.scene()), Path(), steps)
+    export_lens(plan, drafts, Path(), steps)
     Questions(plan, drafts, Path(), steps).analyse()
     return steps.expected
 
@@ -82,7 +83,9 @@ class _Forecast(Steps):
         """All results that are kept, those used last first."""
         return list(self.cache.entries()) if self.cache else []
 
-    def files(self, name: str, made_of: MadeOf | None, folder: Path, work: Callable[[], _T], shown: bool = True) -> _T:
+    def files(
+        self, name: str, made_of: MadeOf | None, folder: Path, work: Callable[[Path], _T], shown: bool = True
+    ) -> _T:
         """Look up whether the files are there."""
         if shown:
             self._look_up(name, made_of)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from pathlib import Path
+from threading import Lock
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -38,13 +39,15 @@ class Kept(Generic[T_co]):
     def __init__(self, made_of: Any, get: Callable[[], T_co]):
         self.made_of = made_of
         self._get: Callable[[], T_co] | None = get
+        self._asking = Lock()
 
-    @cached_property
+    @property
     def value(self) -> T_co:
         """The result itself."""
-        assert self._get is not None
-        found, self._get = self._get(), None  # which may hold inputs that nobody else needs any more
-        return found
+        with self._asking:  # two threads may need it
+            if self._get is not None:
+                self._found, self._get = self._get(), None  # which may hold inputs that nobody else needs any more
+            return self._found
 
 
 class HashedInputs(Inputs):

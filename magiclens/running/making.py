@@ -1,4 +1,4 @@
-"""Everything that stages do in a run: the lens is designed, finished, exported and rendered."""
+"""Everything that stages do in a run: the lens is designed, finished, rendered and exported."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class Drafts:
 
 
 def make_lens(plan: Plan, given: Kept[Scene], folder: Path, steps: Steps) -> Drafts:
-    """Design the lens, and the painted sources if there is an encoder; export and render it.
+    """Design the lens, and the painted sources if there is an encoder; render it.
 
     Args:
         plan: What to run.
@@ -99,8 +99,6 @@ def make_lens(plan: Plan, given: Kept[Scene], folder: Path, steps: Steps) -> Dra
     files.scene(given, painted)
     files.heights(solid)
     files.matrices(given, transports)
-    for exporter in plan.exporters:
-        steps.export(exporter, painted, solid, folder)
     scene, renders = designer.shown(painted), Renders()
     for renderer in plan.renderers:
         renders[renderer.stage.type] = _rendered(renderer, scene, solid, steps)
@@ -118,6 +116,12 @@ def make_lens(plan: Plan, given: Kept[Scene], folder: Path, steps: Steps) -> Dra
         transports=transports,
         renders=renders,
     )
+
+
+def export_lens(plan: Plan, made: Drafts, folder: Path, steps: Steps) -> None:
+    """Write the files of all exporters into a run folder."""
+    for exporter in plan.exporters:
+        steps.export(exporter, made.painted, made.solid, folder)
 
 
 def _rendered(step: Step[Renderer], scene: Kept[Scene], solid: Kept[Solid], steps: Steps) -> Kept[list[FloatArray]]:
@@ -162,10 +166,10 @@ class _Files:
     def scene(self, given: Kept[Scene], painted: Kept[Scene]) -> None:
         """The sources, as they are to be printed and as they were given, and the targets."""
 
-        def write() -> None:
-            write_scene_pictures(painted.value, self._folder)
+        def write(folder: Path) -> None:
+            write_scene_pictures(painted.value, folder)
             if self._plan.encoder:
-                write_sources(given.value, self._folder, "given")
+                write_sources(given.value, folder, "given")
 
         made_of = self._steps.made_of("sources and targets", {"given": given, "painted": painted})
         self._steps.files("sources and targets", made_of, self._folder, write, shown=False)
@@ -174,7 +178,7 @@ class _Files:
         """The top of the lens, if it still is a grid."""
         lens = self._plan.lens
         made_of = self._steps.made_of("heights", {"lens": self._steps.known(lens), "solid": solid})
-        write = lambda: save_heights(solid.value, lens, self._folder)  # noqa: E731
+        write = lambda folder: save_heights(solid.value, lens, folder)  # noqa: E731
         self._steps.files("heights", made_of, self._folder, write, shown=False)
 
     def matrices(self, given: Kept[Scene], transports: Kept[list[Transport]]) -> None:
@@ -182,9 +186,9 @@ class _Files:
         if not self._plan.encoder:
             return
 
-        def write() -> None:
+        def write(folder: Path) -> None:
             made = transports.value  # which has a time of its own
-            self._steps.part("matrices", partial(save_transports, given.value, made, self._folder))
+            self._steps.part("matrices", partial(save_transports, given.value, made, folder))
 
         made_of = self._steps.made_of("matrices", {"given": given, "transports": transports})
         self._steps.files("matrices", made_of, self._folder, write)
@@ -192,7 +196,7 @@ class _Files:
     def renders(self, renderer: str, scene: Kept[Scene], pictures: Kept[list[FloatArray]]) -> None:
         """The pictures of a renderer."""
         made_of = self._steps.made_of("renders", {"renderer": renderer, "scene": scene, "pictures": pictures})
-        write = lambda: write_renders(renderer, scene.value, pictures.value, self._folder)  # noqa: E731
+        write = lambda folder: write_renders(renderer, scene.value, pictures.value, folder)  # noqa: E731
         self._steps.files("renders", made_of, self._folder, write, shown=False)
 
     def animations(self, painted: Kept[Scene], renders: Mapping[str, Kept[list[FloatArray]]]) -> None:
@@ -202,8 +206,8 @@ class _Files:
             return
         seen = next(iter(renders.values()))
 
-        def write() -> None:
-            work = partial(write_animations, painted.value, fps, seen.value, self._folder)
+        def write(folder: Path) -> None:
+            work = partial(write_animations, painted.value, fps, seen.value, folder)
             self._steps.part("animations", work)
 
         made_of = self._steps.made_of("animations", {"fps": fps, "painted": painted, "seen": seen})

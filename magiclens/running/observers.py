@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from time import perf_counter
 from typing import IO, TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -13,7 +14,8 @@ class Observer:
     """Base of all observers. This one shows no progress; it only prints notices.
 
     In all methods, ``name`` is the piece of work, such as ``matcher exhaustive``, and ``facets`` the number of facets
-    that it works on, 0 if that number does not matter.
+    that it works on, 0 if that number does not matter. Two pieces may be under way side by side. Methods may be called
+    from several threads, never at the same time.
     """
 
     def started(self, name: str, facets: int) -> None:
@@ -41,15 +43,15 @@ class LineObserver(Observer):
 
     def __init__(self, stream: IO[str]):
         self._stream = stream
-        self._facets = 0
+        self._facets: dict[str, int] = {}
 
     def started(self, name: str, facets: int) -> None:
         """Remember the number of facets, for the rate."""
-        self._facets = facets
+        self._facets[name] = facets
 
     def finished(self, name: str, seconds: float) -> None:
         """Print name, seconds and rate."""
-        line = f"{name:28}{seconds:8.2f} s  {_rate(self._facets, seconds)}"
+        line = f"{name:28}{seconds:8.2f} s  {_rate(self._facets[name], seconds)}"
         print(line.rstrip(), file=self._stream, flush=True)  # so that a log tells at once how far a run is
 
     def reused(self, name: str) -> None:
@@ -73,26 +75,24 @@ class BarObserver(Observer):
             TextColumn("{task.fields[rate]}"),
             console=Console(file=stream),
         )
-        self._task: TaskID | None = None
-        self._facets = 0
+        self._under_way: dict[str, tuple[TaskID, int, float]] = {}
 
     def started(self, name: str, facets: int) -> None:
         """Add a bar, which pulses until its fraction is known."""
         self._bars.start()
-        self._task = self._bars.add_task(name, total=None, rate="")
-        self._facets = facets
+        self._under_way[name] = self._bars.add_task(name, total=None, rate=""), facets, perf_counter()
 
     def progressed(self, name: str, fraction: float) -> None:
-        """Move the bar."""
-        if self._task is not None:
-            # pieces of work follow each other, so the last bar is that of this one
-            elapsed = self._bars.tasks[-1].elapsed or 0.0
-            self._bars.update(self._task, total=1.0, completed=fraction, rate=_rate(self._facets * fraction, elapsed))
+        """Move the bar, unless the work is over: a stage's threads may still tell of it."""
+        if name in self._under_way:
+            bar, facets, began = self._under_way[name]
+            rate = _rate(facets * fraction, perf_counter() - began)
+            self._bars.update(bar, total=1.0, completed=fraction, rate=rate)
 
     def finished(self, name: str, seconds: float) -> None:
         """Fill the bar."""
-        if self._task is not None:
-            self._bars.update(self._task, total=1.0, completed=1.0, rate=_rate(self._facets, seconds))
+        bar, facets, _ = self._under_way.pop(name)
+        self._bars.update(bar, total=1.0, completed=1.0, rate=_rate(facets, seconds))
 
     def reused(self, name: str) -> None:
         """Add a full bar."""

@@ -22,7 +22,7 @@ from magiclens.running.answers import Questions
 from magiclens.running.feasible import require_feasible
 from magiclens.running.folder import place_for
 from magiclens.running.ingredients import key_of, of_run
-from magiclens.running.making import make_lens
+from magiclens.running.making import export_lens, make_lens
 from magiclens.running.manifest import build_manifest, outside_inputs, spec_text, write_manifest
 from magiclens.running.observers import Observer
 from magiclens.running.replacing import atomic_folder
@@ -244,12 +244,13 @@ def _make(plan: Plan, folder: Path, steps: Steps) -> tuple[dict[str, Any], Quest
     copy_inputs(inputs, folder)
     drafts = make_lens(plan, steps.known(steps.part("pictures", plan.scene)), folder, steps)
     questions = Questions(plan, drafts, folder, steps)
-    answers, scores = questions.analyse(), questions.scores()
-    metrics = dict(questions.measures())
-    for answer in answers:
-        metrics |= answer.metrics
-    facts = build_manifest(plan, inputs, drafts.painted.value, metrics, scores)
-    questions.preflight(facts)
-    blocks = steps.part("figures", partial(questions.draw, answers, facts["metrics"]))
+    with steps.beside(partial(export_lens, plan, drafts, folder, steps)):
+        answers, scores = questions.analyse(), questions.scores()
+        metrics = dict(questions.measures())
+        for answer in answers:
+            metrics |= answer.metrics
+        facts = build_manifest(plan, inputs, drafts.painted.value, metrics, scores)
+    with steps.beside(partial(questions.preflight, facts)):
+        blocks = steps.part("figures", partial(questions.draw, answers, facts["metrics"]))
     steps.part("report", lambda: write_report(drafts.scene.value, facts, blocks, scores, folder))
     return facts, questions

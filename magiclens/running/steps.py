@@ -1,6 +1,7 @@
-"""Does the steps of a run one after the other: times them, reports progress, checks artifacts, names who fails.
+"""Does the steps of a run: times them, reports progress, checks artifacts, names who fails.
 
-What an earlier run has kept is not done again; see ``magiclens.cache``.
+Steps follow each other, but for those that are done ``beside`` others in a thread of their own. What an earlier run has
+kept is not done again; see ``magiclens.cache``.
 """
 
 from __future__ import annotations
@@ -8,10 +9,14 @@ from __future__ import annotations
 import os
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import suppress
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from contextvars import copy_context
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from threading import RLock
 from time import perf_counter
 from typing import Any, TypeVar
 
@@ -56,7 +61,7 @@ class Draws:
 
 
 class Steps:
-    """Does one step after the other, for one plan, one observer and one cache."""
+    """Does steps for one plan, one observer and one cache. Observers and hooks are called by one thread at a time."""
 
     def __init__(self, plan: Plan, observer: Observer, cache: Cache | None = None):
         """Without a cache everything is done, and nothing kept."""
@@ -65,6 +70,22 @@ class Steps:
         self._facets = plan.lens.facets**2
         self._began = perf_counter()
         self._seconds: defaultdict[str, float] = defaultdict(float)
+        self._telling = RLock()
+
+    @contextmanager
+    def beside(self, work: Callable[[], object]) -> Iterator[None]:
+        """Do steps in a thread of their own while the ``with`` block does others; it ends when both are done.
+
+        Much of what a step does keeps one core busy; two such steps keep two.
+
+        Args:
+            work: Does steps that need nothing of what those of the block make, and the other way round. If it raises,
+                the ``with`` statement does, unless the block has.
+        """
+        with ThreadPoolExecutor(1, "beside") as pool:
+            others = pool.submit(copy_context().run, work)
+            yield
+        others.result()
 
     def known(self, value: _T) -> Kept[_T]:
         """A value that is there already, such as the scene of the spec."""
@@ -85,13 +106,13 @@ class Steps:
             facets: On how many facets, for rates; 0 if their number does not matter.
         """
         raise_if_terminated()
-        self._observer.started(name, facets)
+        self._say("started", name, facets)
         began = perf_counter()
         result = work()
         raise_if_terminated()
         seconds = perf_counter() - began
         self._seconds[name] += seconds
-        self._observer.finished(name, seconds)
+        self._say("finished", name, seconds)
         return result
 
     def derived(self, name: str, work: Callable[..., _T], shown: bool = True, **inputs: Kept[Any]) -> Kept[_T]:
@@ -150,12 +171,13 @@ class Steps:
 
     def export(self, step: Step[Exporter], scene: Kept[Scene], solid: Kept[Solid], folder: Path) -> None:
         """A step that an exporter does: it writes files into a run folder. Raises as ``stage``."""
-        path = folder / f"lens{step.stage.suffix}"
+        name = f"lens{step.stage.suffix}"
 
-        def export() -> None:
+        def export(own: Path) -> None:
             given = scene.value, solid.value  # before the step begins: they may have to be made themselves
 
             def write(_: Progress) -> Path:
+                path = own / name
                 try:
                     step.stage.export(*given, path)
                 except OSError as error:  # a disk that is full does not say which file it had no room for
@@ -168,14 +190,17 @@ class Steps:
         made_of = of_stage(step, "export", {"scene": scene, "solid": solid}, None) if self.cache else None
         self.files(step.name, made_of, folder, export)
 
-    def files(self, name: str, made_of: MadeOf | None, folder: Path, work: Callable[[], _T], shown: bool = True) -> _T:
-        """A step that writes new files into a run folder, or gets them from the cache.
+    def files(
+        self, name: str, made_of: MadeOf | None, folder: Path, work: Callable[[Path], _T], shown: bool = True
+    ) -> _T:
+        """A step that writes files into a run folder, or gets them from the cache.
 
         Args:
             name: The step's name.
             made_of: What the files depend on; None if they must not be kept.
             folder: The run folder.
-            work: Writes them, and may return JSON data that is kept with them.
+            work: Writes them into the folder that it is given, which may be another one from which they are moved
+                then. It may return JSON data that is kept with them.
             shown: Whether observers are told if the files come from the cache.
 
         Returns:
@@ -183,23 +208,29 @@ class Steps:
         """
         cache = self.cache
         if cache is None or made_of is None:
-            return work()
+            return work(folder)
         entry = cache.find(key_of(made_of))
         if entry and cache.restore(entry, folder):
             if shown:
-                self._observer.reused(name)
+                self._say("reused", name)
             facts: _T = entry.facts
             return facts
-        before, began = set(files_in(folder)), perf_counter()
-        facts = work()
-        written = [path for path in files_in(folder) if path not in before]
-        cache.keep(new_entry(name, made_of, perf_counter() - began, facts, written), folder=folder)
+        # a folder of its own tells which files are this step's
+        with TemporaryDirectory(prefix=".", dir=folder) as own:
+            began = perf_counter()
+            facts = work(Path(own))
+            written = files_in(Path(own))
+            cache.keep(new_entry(name, made_of, perf_counter() - began, facts, written), folder=Path(own))
+            for path in written:
+                (folder / path).parent.mkdir(parents=True, exist_ok=True)
+                Path(own, path).replace(folder / path)
         return facts
 
     def tell(self, hook: str, **facts: Any) -> None:
         """Call an observing hook of all plugins; the observer gets a notice of those that fail."""
-        for complaint in self._registry.notify(hook, **facts):
-            self._observer.notice(complaint)
+        with self._telling:
+            for complaint in self._registry.notify(hook, **facts):
+                self._observer.notice(complaint)
 
     def timings(self) -> dict[str, float]:
         """Seconds by name, and in total; those of steps that were repeated are added up."""
@@ -208,6 +239,11 @@ class Steps:
     def holds(self, question: Callable[[], bool]) -> bool:
         """The answer to a question about results, on which it depends which steps follow."""
         return question()
+
+    def _say(self, what: str, *about: Any) -> None:
+        """Call a method of the observer."""
+        with self._telling:
+            getattr(self._observer, what)(*about)
 
     def _made(
         self,
@@ -223,7 +259,7 @@ class Steps:
         def make(rng: np.random.Generator | None) -> Any:
             values = [each.value for each in inputs.values()]  # first: they may have to be made themselves
             began = perf_counter()
-            unfinished = Unfinished(cache, key, name, self._observer.notice) if cache and key else None
+            unfinished = Unfinished(cache, key, name, partial(self._say, "notice")) if cache and key else None
             with going_through_loops_by(unfinished.loop if unfinished else None):
                 result = settled(work(rng, *values))
             if cache and made_of and unfinished:
@@ -240,7 +276,7 @@ class Steps:
         before = draws.rng if draws else None
         if draws and entry.rng:
             draws.rng = generator_in(entry.rng)  # the next call draws what it would have drawn
-        self._observer.reused(name)
+        self._say("reused", name)
 
         def get() -> Any:
             places = borrowed(entry.value)
@@ -264,7 +300,7 @@ class Steps:
 
     def _guarded(self, step: Step[Any], work: Callable[[Progress], _T], check: Callable[[_T], None], name: str) -> _T:
         with locating(self._plan.document, self._plan.place(step)), blaming(str(step)):
-            artifact = work(partial(self._observer.progressed, name))
+            artifact = work(partial(self._say, "progressed", name))
             try:
                 check(artifact)
             except BadArtifact as error:
@@ -279,6 +315,6 @@ class QuietSteps(Steps):
         """Call no hook."""
 
 
-def files_in(folder: Path) -> Iterator[str]:
+def files_in(folder: Path) -> list[str]:
     """Paths of all files below a folder, relative to it."""
-    return (path.relative_to(folder).as_posix() for path in sorted(folder.rglob("*")) if path.is_file())
+    return [path.relative_to(folder).as_posix() for path in sorted(folder.rglob("*")) if path.is_file()]
