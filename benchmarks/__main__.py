@@ -23,10 +23,10 @@ from pathlib import Path
 from benchmarks.comparison import Comparison, Ratio, measure, table
 from benchmarks.history import keep, losses
 
-TOPICS = ("tracing", "matching", "annealing", "integration", "refinement", "whole-run")
+TOPICS = ("tracing", "matching", "annealing", "integration", "refinement", "slicing", "whole-run")
 PAGE = Path(__file__).parents[1] / "docs" / "reference" / "performance.md"
 BEGIN, END = "<!-- what follows is written by python -m benchmarks --write -->\n", "<!-- end -->\n"
-PEERS = ("opencv-python-headless", "mitsuba", "embreex", "faiss-cpu", "scipy", "pyamg", "numba", "numpy")
+PEERS = ("opencv-python-headless", "mitsuba", "embreex", "faiss-cpu", "scipy", "cvxopt", "pyamg", "numba", "numpy")
 
 
 def comparisons(topic: str, options: argparse.Namespace) -> list[Comparison]:
