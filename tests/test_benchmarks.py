@@ -97,7 +97,7 @@ def test_our_solver_and_a_direct_one_leave_the_same_residual(
     comparison: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     integration = module("integration", monkeypatch)
-    case = integration._comparison("SciPy spsolve", 24, 1.0, ())
+    case = integration._comparison(("SciPy spsolve",), 24, 1.0)
     ours, theirs = case.ours(), case.peers["SciPy spsolve"]()
     assert case.agreement(ours, theirs).startswith("residual")
     np.testing.assert_allclose(ours.ravel(), theirs, atol=1e-3 * np.abs(theirs).max())
@@ -111,7 +111,7 @@ def test_every_comparison_works_at_a_small_size() -> None:
     command = [sys.executable, "-m", "benchmarks", "--quick", "--repeats", "1"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    for topic in ("tracing", "matching", "annealing", "integration", "refinement"):
+    for topic in ("tracing", "matching", "annealing", "integration", "refinement", "slicing"):
         assert f"\n| {topic} |" in done.stdout
 
 
