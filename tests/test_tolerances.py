@@ -17,7 +17,7 @@ from magiclens.geometry.solid import solid_from_heights
 from magiclens.images import score
 from magiclens.preflight.placing import check_placing
 from magiclens.rendering.mitsuba import Mitsuba
-from magiclens.rendering.poses import Pose, PosedLens, _places
+from magiclens.rendering.poses import Pose, PosedLens
 from magiclens.rendering.tracer import Tracer
 from scenes import ABOVE, THICK, Eye, blotches, grey_view, small_lens, surface
 
@@ -70,9 +70,8 @@ def test_a_lens_that_leans_is_a_tilted_slab(turn: float) -> None:
     bottom = top + THICK * along + THICK * np.tan(inside) * across
     landing = bottom[0] - way[0] / way[1] * bottom[1]
     posed = PosedLens(solid, scene.lens, 63, 1)
-    hits = posed._on_sheet(scene.views[0], Pose(tilt_x_deg=3.0))
-    found = _places(hits[..., :2], scene.views[0], Pose())
-    assert found[31, 31, 0] == pytest.approx([0.0, landing], abs=2e-3)
+    hits = posed.landing(scene.views[0], Pose(tilt_x_deg=3.0))
+    assert hits[31, 31, 0, :2] == pytest.approx([0.0, landing], abs=2e-3)
 
 
 def test_gap_eye_and_index_are_those_of_another_design() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -155,6 +156,11 @@ class _Bench:
         self._views = [replace(view, target=resize(view.target, (resolution, resolution))) for view in views]
         self._distance_mm = float(views[0].eye_mm[2] - scene.lens.thickness_mm)
 
+    @cached_property
+    def _designed(self) -> list[tuple[float, float]]:
+        """The scores without any deviation."""
+        return self.scores(Pose())
+
     def responses(self, axis: _Axis) -> list[Response]:
         """What the deviations of an axis do."""
         most = axis.most * self._distance_mm if axis.fields == ("eye_z_mm",) else axis.most
@@ -164,7 +170,8 @@ class _Bench:
         if axis.fields == ("gap_mm",):  # the lens cannot sink into the sheet
             amounts = [x for x in amounts if x >= -self._lens.gap_mm]
         # amount by amount, not axis by axis: views that are turned see the same moves in another order
-        scores = {(name, x): self.scores(Pose(**{name: x})) for x in amounts for name in axis.fields}
+        moves = [(name, x) for x in amounts for name in axis.fields]
+        scores = {(name, x): self.scores(Pose(**{name: x})) if x else self._designed for name, x in moves}
         found = {name: np.array([scores[name, x] for x in amounts]) for name in axis.fields}
         return [Response(name, axis.unit, np.array(amounts), *found[name].transpose(2, 1, 0)) for name in axis.fields]
 
@@ -181,7 +188,7 @@ class _Bench:
 
     def _reach(self, axis: _Axis, most: float) -> float:
         """About how much of an axis's first field costs the first view ``FALL_DB``."""
-        error = self._error(Pose())
+        error = 10 ** (-self._designed[0][0] / 10)
         amount = min(axis.guess, most)
         for _ in range(_TRIES):
             more = self._error(Pose(**{axis.fields[0]: amount})) - error

@@ -57,7 +57,7 @@ class Pose:
         return np.array([self.eye_x_mm, self.eye_y_mm, self.eye_z_mm])
 
 
-_KEPT = 32
+_KEPT = 16
 """Number of traces that are kept: views that are turned look from the same places, one after the other."""
 
 
@@ -72,7 +72,7 @@ class PosedLens:
         self._lens, self._grid = lens, grid_of(solid, lens)
         self._rows = PictureRows(lens.size_mm, resolution, samples, 0, resolution)
         self._half = float(np.abs(solid.vertices[:, :2][solid.vertices[:, 2] == 0.0]).max(initial=lens.size_mm / 2))
-        self._landing = lru_cache(maxsize=_KEPT)(self._traced)
+        self._rays = lru_cache(maxsize=_KEPT)(self._traced)
 
     def picture(self, view: View, pose: Pose) -> FloatArray:
         """(R, R, C) float32, linear light, world frame: what the eye of a view sees on the lens's square."""
@@ -81,39 +81,30 @@ class PosedLens:
 
     def landing(self, view: View, pose: Pose) -> FloatArray:
         """(R, R, S, 3) float32: where on the sheet the samples of a picture land, x and y in mm, and their weight."""
-        hits = self._on_sheet(view, pose)
-        hits[..., :2] = _places(hits[..., :2], view, pose)
-        return hits
-
-    def _on_sheet(self, view: View, pose: Pose) -> FloatArray:
-        """(R, R, S, 3) where samples meet the sheet's plane, x and y in mm from below the lens's centre, and weight."""
         from scipy.spatial.transform import Rotation
 
-        eye, gap = view.to_lens_frame(view.eye_mm + pose.eye_mm), self._lens.gap_mm + pose.gap_mm
-        if not pose.tilt_deg.any():
-            return self._landing(tuple(eye), pose.ior, gap).copy()
-        turn = Rotation.from_rotvec(view.to_lens_frame(pose.tilt_deg), degrees=True).as_matrix()
-        lift = np.array([0.0, 0.0, self._half * np.abs(turn[2, :2]).sum()])
-        at = tuple(np.round(turn.T @ (eye - lift), 9))
-        # two planes that are parallel to the bottom tell where rays leave it, and where they go on to
-        leaving, below = self._landing(at, pose.ior, 0.0), self._landing(at, pose.ior, 1.0)
-        points = leaving[..., :2] @ turn[:, :2].T + lift
-        ways = (below[..., :2] - leaving[..., :2]) @ turn[:, :2].T - turn[:, 2]
-        found = points - ways * ((points[..., 2:] + gap) / ways[..., 2:])
-        return np.concatenate([found[..., :2], leaving[..., 2:]], axis=-1).astype(np.float32)
+        from magiclens.rendering.source_kernels import meet_sheet
 
-    def _traced(self, eye: tuple[float, ...], ior: float, gap: float) -> FloatArray:
-        """Landing points of all samples, see ``trace``, on a plane below the bottom and parallel to it."""
+        tilt = Rotation.from_rotvec(view.to_lens_frame(pose.tilt_deg), degrees=True).as_matrix()
+        lift = np.array([0.0, 0.0, self._half * np.abs(tilt[2, :2]).sum()])
+        eye = tilt.T @ (view.to_lens_frame(view.eye_mm + pose.eye_mm) - lift)
+        turn, move = _to_sheet(view, pose)
+        above = lift + np.array([0.0, 0.0, self._lens.gap_mm + pose.gap_mm])
+        return meet_sheet(self._rays(tuple(np.round(eye, 9)), pose.ior), turn @ tilt, turn @ above + move)
+
+    def _traced(self, eye: tuple[float, ...], ior: float) -> FloatArray:
+        """The rays of all samples below the bottom, see ``trace_rays``."""
         from magiclens.optics.medium import slab_of
-        from magiclens.rendering.tracer_kernels import trace_rows
+        from magiclens.rendering.tracer_kernels import trace_rays
 
-        lens = replace(self._lens, ior=self._lens.ior + ior, gap_mm=gap)
-        return trace_rows(self._grid, slab_of(lens), np.array(eye), self._rows)
+        lens = replace(self._lens, ior=self._lens.ior + ior)
+        return trace_rays(self._grid, slab_of(lens), np.array(eye), self._rows)
 
 
-def _places(points: FloatArray, view: View, pose: Pose) -> FloatArray:
-    """Places on a sheet, (..., 2) mm, of points of its plane that are given in the lens frame."""
+def _to_sheet(view: View, pose: Pose) -> tuple[FloatArray, FloatArray]:
+    """Turn and scale (3, 3), and move (3,) in mm, that take points of the lens frame to places on the sheet."""
     angle = np.radians([view.rotation_deg, -pose.rotation_deg])
-    turned, back = (np.array([[c, -s], [s, c]]) for c, s in zip(np.cos(angle), np.sin(angle), strict=True))
-    back /= 1 + pose.scale_percent / 100
-    return np.asarray(points @ (back @ turned).T.astype(np.float32) - (back @ pose.shift_mm[:2]).astype(np.float32))
+    turns = zip(np.cos(angle), np.sin(angle), strict=True)
+    turned, back = (np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) for c, s in turns)
+    back[:2] /= 1 + pose.scale_percent / 100
+    return back @ turned, -back @ pose.shift_mm

@@ -12,20 +12,23 @@ from magiclens.contract.artifacts import FloatArray, IntArray
 from magiclens.kernels.compiler import njit
 from magiclens.kernels.sampling import clamped_cell, weighted_look_up
 from magiclens.kernels.threads import in_threads
+from magiclens.kernels.uncounted import uncounted
 
 
-@njit(cache=True)
-def _on_raster(hit, rows, columns, per_mm):
-    """Whether a sample's source point lies on the source, and the pixels around it, see ``clamped_cell``."""
-    x, y = hit[0] * per_mm, -hit[1] * per_mm
-    inside = not (abs(x) > 0.5 * columns or abs(y) > 0.5 * rows)
-    ix, iy, fx, fy = clamped_cell(x + 0.5 * columns - 0.5, y + 0.5 * rows - 0.5, columns, rows)
+@njit(cache=True, forceinline=True)
+def _on_raster(x, y, shape, per_mm):
+    """Whether a source point lies on the source, and the pixels around it, see ``clamped_cell``."""
+    rows, columns = shape
+    right, down = x * per_mm, -y * per_mm
+    inside = not (abs(right) > 0.5 * columns or abs(down) > 0.5 * rows)
+    ix, iy, fx, fy = clamped_cell(right + 0.5 * columns - 0.5, down + 0.5 * rows - 0.5, columns, rows)
     return inside, ix, iy, fx, fy
 
 
 @njit(cache=True, nogil=True)
 def _average_part(part, hits, source, per_mm, out):
     """Part of the rows, see ``average_samples``."""
+    hits, source, out = uncounted(hits), uncounted(source), uncounted(out)
     rows, columns, channels = source.shape
     _, width, samples, _ = hits.shape
     for i in range(part.first, part.end):
@@ -34,7 +37,7 @@ def _average_part(part, hits, source, per_mm, out):
                 weight = hits[i, j, k, 2] / samples
                 if weight == 0.0:
                     continue
-                inside, ix, iy, fx, fy = _on_raster(hits[i, j, k], rows, columns, per_mm)
+                inside, ix, iy, fx, fy = _on_raster(hits[i, j, k, 0], hits[i, j, k, 1], (rows, columns), per_mm)
                 if not inside:
                     continue
                 for ch in range(channels):
@@ -60,7 +63,7 @@ def average_samples(hits: FloatArray, source: FloatArray, per_mm: float) -> Floa
 @njit(cache=True, nogil=True)
 def _gather_part(part, hits, shape, per_mm, pointers, index, share):
     """Part of the rows, see ``gather_shares``."""
-    rows, columns = shape
+    columns = shape[1]
     _, width, samples, _ = hits.shape
     found, weights = np.zeros(4 * samples, np.int32), np.zeros(4 * samples)
     for i in range(part.first, part.end):
@@ -68,7 +71,7 @@ def _gather_part(part, hits, shape, per_mm, pointers, index, share):
             count = 0
             for k in range(samples):
                 weight = hits[i, j, k, 2] / samples
-                inside, ix, iy, fx, fy = _on_raster(hits[i, j, k], rows, columns, per_mm)
+                inside, ix, iy, fx, fy = _on_raster(hits[i, j, k, 0], hits[i, j, k, 1], shape, per_mm)
                 if weight == 0.0 or not inside:
                     continue
                 for corner in range(4):
@@ -113,3 +116,36 @@ def _add(found, weights, count, pixel, part):
             return count
     found[count], weights[count] = pixel, part
     return count + 1
+
+
+@njit(cache=True, nogil=True)
+def _meet_part(part, rays, turn, move, hits):
+    """Part of the rows, see ``meet_sheet``."""
+    _, width, samples, _ = rays.shape
+    for i in range(part.first, part.end):
+        for j in range(width):
+            for k in range(samples):
+                x, y, along_x, along_y = rays[i, j, k, 0], rays[i, j, k, 1], rays[i, j, k, 3], rays[i, j, k, 4]
+                height = turn[2, 0] * x + turn[2, 1] * y + move[2]
+                fall = turn[2, 2] - turn[2, 0] * along_x - turn[2, 1] * along_y
+                for axis in range(2):
+                    at = turn[axis, 0] * x + turn[axis, 1] * y + move[axis]
+                    way = turn[axis, 0] * along_x + turn[axis, 1] * along_y - turn[axis, 2]
+                    hits[i, j, k, axis] = at + way * (height / fall)
+                hits[i, j, k, 2] = rays[i, j, k, 2]
+
+
+def meet_sheet(rays: FloatArray, turn: FloatArray, move: FloatArray) -> FloatArray:
+    """Where rays below a lens meet a sheet.
+
+    Args:
+        rays: (R, R, S, 5) as of ``trace_rays``, lens frame.
+        turn: (3, 3), with ``move`` from the lens frame to that of the sheet, which is z = 0 there.
+        move: (3,) mm.
+
+    Returns:
+        (R, R, S, 3) float32: x and y on the sheet, mm, and transmission.
+    """
+    hits = np.empty((*rays.shape[:3], 3), np.float32)
+    in_threads(_meet_part, len(hits), rays, turn, move, hits)
+    return hits

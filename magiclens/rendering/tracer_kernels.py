@@ -32,8 +32,8 @@ _EITHER, _UPPER, _LOWER = 0, 1, 2
 """Halves of a grid's cell: upper right (top left, bottom right, top right) and lower left; either of them."""
 _MISSED, _LEFT_GRID = 2.0, 3.0
 """Shares of a segment, beyond its end at 1, that say that it meets no surface, or that it leaves the grid before."""
-_LOST = (0.0, 0.0, 0.0)
-"""Source point and transmission of a path that does not reach the source."""
+_LOST = (0.0, 0.0, 0.0, 0.0, 0.0)
+"""What ``_follow`` says of a path that does not reach the source."""
 
 
 class PictureRows(NamedTuple):
@@ -56,7 +56,7 @@ class PictureRows(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def _trace_part(part, grid, slab, eye, rows, hits):
-    """Part of the rows, see ``trace_rows``; hits: to fill."""
+    """Part of the rows, see ``trace_rows``, or ``trace_rays`` where there is room for ways; hits: to fill."""
     grid = uncounted(grid)
     samples = rows.samples
     pixel = rows.size / rows.resolution
@@ -70,7 +70,11 @@ def _trace_part(part, grid, slab, eye, rows, hits):
             for k in range(samples * samples):
                 right, down = places[k, 0], places[k, 1]
                 qx, qy = (j + right) * pixel - 0.5 * rows.size, 0.5 * rows.size - (i + down) * pixel
-                (x, y, weight), cell = _follow(grid, slab, eye, (qx, qy), cell)
+                (x, y, weight, along_x, along_y), cell = _follow(grid, slab, eye, (qx, qy), cell)
+                if hits.shape[3] == 5:
+                    hits[row, j, k, 3], hits[row, j, k, 4] = along_x, along_y
+                else:
+                    x, y = x + slab.gap * along_x, y + slab.gap * along_y
                 hits[row, j, k, 0], hits[row, j, k, 1], hits[row, j, k, 2] = x, y, weight
 
 
@@ -86,14 +90,28 @@ def trace_rows(grid: Grid, slab: Slab, eye: FloatArray, rows: PictureRows) -> Fl
     Returns:
         (rows, resolution, samples^2, 3) float32: source point x, y, mm, lens frame, and transmission.
     """
-    hits = np.empty((rows.end - rows.first, rows.resolution, rows.samples**2, 3), np.float32)
+    return _traced(grid, slab, eye, rows, 3)
+
+
+def trace_rays(grid: Grid, slab: Slab, eye: FloatArray, rows: PictureRows) -> FloatArray:
+    """The same down to the flat bottom, for a source in any place; the slab's gap does not count.
+
+    Returns:
+        (rows, resolution, samples^2, 5) float32: x and y, mm, where a ray leaves the flat bottom, its transmission, and
+        how far it goes on along x and y for each mm that it falls.
+    """
+    return _traced(grid, slab, eye, rows, 5)
+
+
+def _traced(grid: Grid, slab: Slab, eye: FloatArray, rows: PictureRows, columns: int) -> FloatArray:
+    hits = np.empty((rows.end - rows.first, rows.resolution, rows.samples**2, columns), np.float32)
     in_threads(_trace_part, len(hits), grid, slab, eye, rows, hits)
     return hits
 
 
 @njit(cache=True, forceinline=True)
 def _follow(grid, slab, eye, through, near):
-    """The path from the eye through a point of the reference plane to the source.
+    """The path from the eye through a point of the reference plane to the flat bottom, and on.
 
     At every surface the ray goes on as ``refract(d, n, eta)`` with the weight ``T``, or, where T < 1/2, as
     ``d + 2 cos_i n`` with the weight ``1 - T``; T is Fresnel's ``transmittance(cos_i, eta)``. Between surfaces,
@@ -107,8 +125,8 @@ def _follow(grid, slab, eye, through, near):
         near: row and column of a cell near the path's first, from which that one is looked for.
 
     Returns:
-        x and y of the source point, mm, and the transmission; all 0 where light is lost. Row and column of the path's
-        first cell.
+        x and y, mm, where it leaves the bottom, the transmission, and how far it goes on along x and y per mm that it
+        falls; all 0 where light is lost. Row and column of the path's first cell.
     """
     dx, dy, dz = through[0] - eye[0], through[1] - eye[1], slab.depth - eye[2]
     q = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
@@ -144,7 +162,7 @@ def _follow(grid, slab, eye, through, near):
                 fx, fy = x - dx * z / dz, y - dy * z / dz
                 lands = grid.floor_left <= fx <= grid.floor_right and grid.floor_bottom <= fy <= grid.floor_top
             if lands:
-                return _to_source((x, y, z), (dx, dy, dz), weight, slab), cell
+                return _leave((x, y, z), (dx, dy, dz), weight, slab), cell
             break
         u0, v0, w0 = u0 + at * (u1 - u0), v0 + at * (v1 - v0), w0 + at * (w1 - w0)
         x, y, z = _from_grid(grid, u0, v0, w0)
@@ -165,14 +183,14 @@ def _follow(grid, slab, eye, through, near):
 
 
 @njit(cache=True, forceinline=True)
-def _to_source(point, direction, weight, slab):
-    """Through the flat bottom and the gap: x and y of the source point, mm, and weight; 0 on total reflection."""
+def _leave(point, direction, weight, slab):
+    """Through the flat bottom, see ``_follow``; 0 on total reflection."""
     x, y, z = point
     dx, dy, dz = direction
     weight *= transmittance(-dz, 1.0 / slab.ior)
     ox, oy, oz = refract(dx, dy, dz, 0.0, 0.0, 1.0, 1.0 / slab.ior)
     if weight > 0.0 and oz < 0.0:
-        return x - dx * z / dz - ox * slab.gap / oz, y - dy * z / dz - oy * slab.gap / oz, weight
+        return x - dx * z / dz, y - dy * z / dz, weight, -ox / oz, -oy / oz
     return _LOST
 
 
