@@ -9,6 +9,7 @@ import numpy as np
 
 from magiclens.kernels.compiler import njit
 from magiclens.kernels.sampling import clamped_cell, rotated_grid, weighted_look_up
+from magiclens.kernels.uncounted import uncounted
 
 
 class IdealFacets(NamedTuple):
@@ -30,14 +31,14 @@ class IdealFacets(NamedTuple):
     inward: np.ndarray
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def _facet_point(facets, i, j, x, y):
     """The point of facet (i, j), from its centre, that is seen at (x, y) from the picture's centre; mm."""
-    u, v, m = x - facets.places[i, j, 0], y - facets.places[i, j, 1], facets.inward[i, j]
-    return m[0, 0] * u + m[0, 1] * v, m[1, 0] * u + m[1, 1] * v
+    u, v, m = x - facets.places[i, j, 0], y - facets.places[i, j, 1], facets.inward
+    return m[i, j, 0, 0] * u + m[i, j, 0, 1] * v, m[i, j, 1, 0] * u + m[i, j, 1, 1] * v
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def _visible_facet(facets, size, x, y):
     """The facet that is seen at (x, y) mm from the picture's upper left corner, and the point of it.
 
@@ -70,19 +71,23 @@ def sample_ideal_picture(rows_of_picture, source, per_mm, facets, size, samples,
         samples: Samples per side of a pixel.
         out: (R, R, C) float32, zeros; rows are filled, and stay black where no light arrives.
     """
+    source, facets, out = uncounted(source), uncounted(facets), uncounted(out)
     rows, columns, channels = source.shape
     resolution = len(out)
     pixel = size / resolution
+    places = np.zeros((samples * samples, 2))
+    for k in range(samples * samples):
+        places[k] = rotated_grid(k, samples)
     for r in range(rows_of_picture.first, rows_of_picture.end):
         for c in range(resolution):
             for k in range(samples * samples):
-                right, down = rotated_grid(k, samples)
+                right, down = places[k, 0], places[k, 1]
                 i, j, u, v = _visible_facet(facets, size, (c + right) * pixel, (r + down) * pixel)
-                at, m = facets.landings[i, j], facets.maps[i, j]
-                if math.isnan(at[0]):
+                at, m = facets.landings, facets.maps
+                if math.isnan(at[i, j, 0]):
                     continue
-                sx = (at[0] + m[0, 0] * u + m[0, 1] * v) * per_mm + columns / 2 - 0.5
-                sy = (at[1] + m[1, 0] * u + m[1, 1] * v) * per_mm + rows / 2 - 0.5
+                sx = (at[i, j, 0] + m[i, j, 0, 0] * u + m[i, j, 0, 1] * v) * per_mm + columns / 2 - 0.5
+                sy = (at[i, j, 1] + m[i, j, 1, 0] * u + m[i, j, 1, 1] * v) * per_mm + rows / 2 - 0.5
                 if not (-0.5 <= sx <= columns - 0.5 and -0.5 <= sy <= rows - 0.5):
                     continue  # beside the source it is dark
                 ix, iy, fx, fy = clamped_cell(sx, sy, columns, rows)
