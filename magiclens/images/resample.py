@@ -87,14 +87,15 @@ def _resize_rows(image: FloatArray, rows: int) -> FloatArray:
 
 
 def _box(image: FloatArray, rows: int) -> FloatArray:
-    """Exact area means: differences of the running integral at the new pixels' edges."""
-    integral = np.zeros((len(image) + 1, *image.shape[1:]))
-    np.cumsum(image, axis=0, out=integral[1:])
-    edges = np.arange(rows + 1) * len(image) / rows
-    below = np.minimum(edges.astype(int), len(image) - 1)
-    part = (edges - below)[:, None, None]
-    at_edges = integral[below] * (1 - part) + integral[below + 1] * part
-    return np.asarray(np.diff(at_edges, axis=0) * rows / len(image), np.float32)
+    """Exact area means: the sum of old pixels times the shares of a new pixel's height that they cover."""
+    from scipy.sparse import csr_array
+
+    old = len(image)
+    # in parts of which an old pixel is ``rows`` high and a new one ``old``
+    edges = np.union1d(np.arange(old + 1) * rows, np.arange(rows + 1) * old)
+    first, share = edges[:-1], np.diff(edges) / old
+    shares = csr_array((share, (first // old, first // rows)), shape=(rows, old))
+    return np.asarray((shares @ image.reshape(old, -1)).reshape(rows, *image.shape[1:]), np.float32)
 
 
 def _bicubic(image: FloatArray, rows: int) -> FloatArray:
