@@ -21,11 +21,12 @@ from magiclens.cli import app
 from magiclens.contract.artifacts import FloatArray, HeightField, Lens, Solid, View
 from magiclens.contract.errors import InputError
 from magiclens.exporting.mesh_files import STL_HEADER
+from magiclens.geometry import solid as solid_module
 from magiclens.geometry.solid import solid_from_heights
 from magiclens.plan.compile import Plan, load_plan
 from magiclens.preflight.checks import run_preflight
 from magiclens.preflight.finding import ANY_MESH, Finding, Preflight, Verdict, graded, worst, worst_facet_text
-from magiclens.preflight.light import check_fresnel_loss, check_total_reflection
+from magiclens.preflight.light import SeenTop, check_fresnel_loss, check_total_reflection, seen_top
 from magiclens.preflight.machine import check_as_made, check_bed, check_detail, check_material, check_tool_reach
 from magiclens.preflight.mesh_file import MeshFile, read_mesh_file
 from magiclens.preflight.page import STATUS_COLOURS, lens_map, preflight_text, write_preflight
@@ -77,7 +78,7 @@ def checked(folder: Path, **facts: Any) -> dict[str, Finding]:
 
 
 def triangles(folder: Path) -> FloatArray:
-    return read_mesh_file(folder / "lens.stl").triangles.copy()
+    return read_mesh_file(folder / "lens.stl").triangles[:]
 
 
 def rewrite(folder: Path, faces: FloatArray) -> None:
@@ -107,7 +108,7 @@ def test_a_3mf_that_another_program_wrote_holds_the_same_triangles(
     with ZipFile(run.folder / "lens.3mf") as archive, ZipFile(tmp_path / "lens.3mf", "w") as other:
         for name in archive.namelist():
             other.writestr(name, archive.read(name).replace(ours, theirs))
-    own, foreign = (read_mesh_file(folder / "lens.3mf").triangles for folder in (run.folder, tmp_path))
+    own, foreign = (read_mesh_file(folder / "lens.3mf").triangles[:] for folder in (run.folder, tmp_path))
     np.testing.assert_array_equal(own, foreign)
 
 
@@ -298,6 +299,14 @@ def test_a_file_that_is_cut_short_is_red(folder: Path) -> None:
     assert "cut short" in checked(folder)["mesh"].text
 
 
+def test_what_is_found_does_not_depend_on_how_many_triangles_are_looked_at_at_once(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = checked(run.folder)
+    monkeypatch.setattr(solid_module, "FACES_AT_ONCE", 777)
+    assert checked(run.folder) == whole
+
+
 def test_files_that_differ_are_red(run: Run, tmp_path: Path) -> None:
     copied = shutil.copytree(run.folder, tmp_path / "out")
     rewrite(copied, triangles(copied) * np.float32([1, 1, 1.01]))
@@ -326,7 +335,11 @@ EYE = np.array([0.0, 0.0, 110.0])
 
 
 def top_of(solid: Solid, lens: Lens = LENS, eye: FloatArray | None = EYE) -> TopTriangles:
-    return top_triangles(as_file(solid), lens, eye)
+    return top_triangles(whole_top(as_file(solid), lens), lens, eye)
+
+
+def whole_top(file: MeshFile, lens: Lens = LENS) -> FloatArray:
+    return np.concatenate(list(file.top_parts(lens)))
 
 
 def as_file(solid: Solid) -> MeshFile:
@@ -343,8 +356,7 @@ def tilted(slope: float, facets: Iterable[tuple[int, int]], lens: Lens = LENS) -
 
 
 def test_an_eye_sees_the_square_and_a_flat_slab_magnified() -> None:
-    top = top_of(flat(LENS, (0.0, 0.0, 110.0)))
-    seen = trace_triangles(top.triangles, LENS, EYE)
+    seen = trace_triangles(whole_top(as_file(flat(LENS, (0.0, 0.0, 110.0)))), LENS, EYE)
     assert seen.area.sum() == pytest.approx(144, rel=1e-4)
     ray = np.hypot(seen.u, seen.v)
     depth = np.hypot(seen.x, seen.y) - ray
@@ -355,17 +367,19 @@ def test_an_eye_sees_the_square_and_a_flat_slab_magnified() -> None:
 @pytest.mark.parametrize("slope", [0.2, 0.5])
 def test_what_is_lost_to_fresnel_and_total_reflection_is_counted(slope: float) -> None:
     steep = tilted(2.5, [(0, 3), (2, 1)])
-    top = top_of(steep)
-    traced = [trace_triangles(top.triangles, LENS, EYE)]
-    loss = check_fresnel_loss(top, LENS, traced)
+    loss = check_fresnel_loss(*_light(steep, LENS))
     assert loss.status == "red"
     assert set(loss.facets) == {(0, 3), (2, 1)}
     assert "12 % of the picture is seen at more than 60 deg" in loss.text
-    assert check_total_reflection(top, LENS, traced).status == "green", "what enters at 1.49 leaves an even bottom"
-    dense = replace(LENS, ior=2.5)
-    assert check_total_reflection(top, dense, [trace_triangles(top.triangles, dense, EYE)]).facets
-    gentle = top_of(tilted(slope, [(0, 3)]))
-    assert check_fresnel_loss(gentle, LENS, [trace_triangles(gentle.triangles, LENS, EYE)]).status == "green"
+    lost = check_total_reflection(*_light(steep, LENS))
+    assert lost.status == "green", "what enters at 1.49 leaves an even bottom"
+    assert check_total_reflection(*_light(steep, replace(LENS, ior=2.5))).facets
+    assert check_fresnel_loss(*_light(tilted(slope, [(0, 3)]), LENS)).status == "green"
+
+
+def _light(solid: Solid, lens: Lens) -> tuple[TopTriangles, SeenTop, FloatArray, Lens]:
+    top = top_of(solid)
+    return top, *seen_top(top.wall, [trace_triangles(whole_top(as_file(solid)), lens, EYE)]), lens
 
 
 def test_walls_do_not_count_as_facets() -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from magiclens.contract.artifacts import FloatArray, IntArray, Scene, Solid
@@ -18,6 +19,8 @@ from magiclens.geometry.solid import faces_in_parts
 STL_HEADER = b"magiclens, binary STL, unit: millimetre".ljust(80)
 """The first 80 bytes of an STL file. They must not begin with ``solid``, by which programs know STL files of text."""
 
+STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+"""A triangle of an STL file, 50 bytes; the header and the number of triangles, 4 bytes, come before them."""
 PLY_HEAD = b"""ply
 format binary_little_endian 1.0
 comment https://github.com/mikedh/trimesh
@@ -114,12 +117,19 @@ class Obj(MeshExporter):
 
 def write_stl(vertices: FloatArray, faces: IntArray, path: Path) -> None:
     """Write triangles as binary STL: vertices (V, 3) mm, faces (F, 3)."""
-    from trimesh import Trimesh
-    from trimesh.exchange.stl import export_stl
-
     with path.open("wb") as file:
         file.write(STL_HEADER + struct.pack("<I", len(faces)))
-        for few in faces_in_parts(faces):
-            corners = vertices[faces[few]].reshape(-1, 3)
-            part = Trimesh(corners, np.arange(len(corners)).reshape(-1, 3), process=False)
-            file.write(export_stl(part)[len(STL_HEADER) + 4 :])
+        for part in faces_in_parts(faces):
+            file.write(_stl_triangles(vertices.take(faces[part], axis=0)).tobytes())
+
+
+def _stl_triangles(corners: FloatArray) -> NDArray[np.void]:
+    """Triangles (F, 3, 3) with their unit normals; those without area have none."""
+    edges = np.diff(corners, axis=1)
+    across = np.cross(edges[:, 0], edges[:, 1])
+    double_area = np.sqrt(np.einsum("ij,ij->i", across, across))
+    triangles = np.zeros(len(corners), STL_TRIANGLE)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        triangles["normal"], triangles["corners"] = across * (1.0 / double_area)[:, None], corners
+    triangles["normal"][double_area == 0] = 0.0
+    return triangles

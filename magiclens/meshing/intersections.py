@@ -84,16 +84,22 @@ def cannot_cut_itself(solid: Solid) -> bool:
     if solid.grid is None or (solid.eye_mm is not None and solid.vertices[:, 2].max() >= solid.eye_mm[2]):
         return False
     seen = _along_rays(solid.vertices, solid.eye_mm)
-    on_top = solid.faces < solid.grid[0] * solid.grid[1]
-    count = on_top.sum(axis=1)
-    top, sides, floor = solid.faces[count == 3], solid.faces[(count > 0) & (count < 3)], solid.faces[count == 0]
-    if not len(top) or not len(floor):
+    below, lowest, thinnest = [], math.inf, math.inf
+    for part in faces_in_parts(solid.faces):
+        faces = solid.faces[part]
+        is_top = faces.max(axis=1) < solid.grid[0] * solid.grid[1]
+        top = faces[is_top]
+        below.append(faces[~is_top])
+        lowest = min(lowest, float(solid.vertices.take(top, axis=0)[..., 2].min(initial=math.inf)))
+        thinnest = min(thinnest, _thinnest(seen.take(top, axis=0)))
+    others = np.concatenate(below)
+    on_top = others < solid.grid[0] * solid.grid[1]
+    is_side = on_top.any(axis=1)
+    sides, floor = others[is_side], others[~is_side]
+    if len(others) == len(solid.faces) or not len(floor) or lowest <= solid.vertices[floor, 2].max():
         return False
-    lowest = min(solid.vertices[top[part], 2].min() for part in faces_in_parts(top))
-    if lowest <= solid.vertices[floor, 2].max():
-        return False
-    rims = _edges_of(sides, on_top[(count > 0) & (count < 3)])
-    thinnest = min(*(_thinnest(seen[top[part]]) for part in faces_in_parts(top)), _thinnest(seen[floor[:, ::-1]]))
+    rims = _edges_of(sides, on_top[is_side])
+    thinnest = min(thinnest, _thinnest(seen[floor[:, ::-1]]))
     off, across = _off_the_rays(seen[sides]), _altitudes(seen[sides])
     edge_on = 10 * off < thinnest
     thinnest = min(thinnest, float(across[~edge_on].min(initial=math.inf)))
@@ -117,15 +123,15 @@ def _edges_of(sides: IntArray, on_top: NDArray[np.bool_]) -> tuple[IntArray, Int
 
 
 def _thinnest(triangles: FloatArray) -> float:
-    """The smallest altitude of triangles (F, 3, 2); negative if one of them is clockwise."""
-    return float(_altitudes(triangles).min())
+    """The smallest altitude of triangles (F, 3, 2), infinite if there are none; negative if one is clockwise."""
+    return float(_altitudes(triangles).min(initial=math.inf))
 
 
 def _altitudes(triangles: FloatArray) -> FloatArray:
     """(F,) the smallest altitude of each triangle (F, 3, 2); negative if it is clockwise."""
     a, b, c = (triangles[:, k] for k in range(3))
     double_area = _cross(b - a, c - a)
-    longest = np.sqrt(np.max([_square(b - a), _square(c - b), _square(a - c)], axis=0))
+    longest = np.sqrt(np.maximum(np.maximum(_square(b - a), _square(c - b)), _square(a - c)))
     return np.asarray(double_area / longest)
 
 

@@ -126,15 +126,17 @@ def check_topology(solid: Solid) -> Validation:
 
 def check_areas(solid: Solid) -> Validation:
     """No face is thinner than what float32 can tell apart at the solid's size."""
-    finest, thin_parts = np.spacing(np.float32(np.abs(solid.vertices).max())), [np.empty(0, np.int64)]
+    finest, thin_parts = float(np.spacing(np.float32(np.abs(solid.vertices).max()))), [np.empty(0, np.int64)]
     for part in faces_in_parts(solid.faces):
-        corners = solid.vertices[solid.faces[part]]
-        sides = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
-        double_area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-        thin_parts.append(part.start + np.flatnonzero(double_area <= finest * sides.max(axis=1)))
-    thin = np.concatenate(thin_parts)
-    flaws = (Flaw("faces without area", len(thin), int(solid.faces[thin[0]].min())),) if len(thin) else ()
-    return Validation({"zero_area_faces": float(len(thin))}, flaws)
+        a, b, c = (solid.vertices.take(solid.faces[part, k], axis=0) for k in range(3))
+        sides = (b - a, c - b, a - c)
+        longest = np.maximum.reduce([np.einsum("ij,ij->i", side, side) for side in sides])
+        across = np.cross(sides[0], sides[1])
+        thin = np.einsum("ij,ij->i", across, across) <= finest**2 * longest
+        thin_parts.append(part.start + np.flatnonzero(thin))
+    found = np.concatenate(thin_parts)
+    flaws = (Flaw("faces without area", len(found), int(solid.faces[found[0]].min())),) if len(found) else ()
+    return Validation({"zero_area_faces": float(len(found))}, flaws)
 
 
 def check_volume(solid: Solid) -> Validation:

@@ -25,11 +25,12 @@ from magiclens.preflight.machine import (
     check_thickness,
     check_tool_reach,
 )
-from magiclens.preflight.mesh_file import MeshFile, mesh_files, read_mesh_file
+from magiclens.preflight.mesh_file import MeshFile, SharedCorners, mesh_files, read_mesh_file
 from magiclens.preflight.picture import CHECKED_VIEWS, check_colours, check_orientation, check_source_resolution
 from magiclens.preflight.placing import check_placing
 from magiclens.preflight.stairs import check_stairs
-from magiclens.preflight.triangles import TopTriangles, top_triangles, trace_triangles_for_views
+from magiclens.preflight.survey import survey
+from magiclens.preflight.triangles import TopTriangles
 from magiclens.preflight.verdict import verdict_of
 from magiclens.profiles.machines import Machine, Mill, Printer
 from magiclens.profiles.materials import materials
@@ -61,21 +62,22 @@ def run_preflight(
         raise InputError("there is no mesh file to be made; add an exporter such as stl", str(folder))
     try:
         file = read_mesh_file(paths[0])
-        if not np.isfinite(file.extent_mm).all():
+        same = solid is not None and file.same_as(solid)
+        if not same and not np.isfinite(file.extent_mm).all():
             raise ValueError("some of its corners are nowhere")
     except Exception as error:  # readers of broken files raise anything
         broken = Finding("mesh", "red", f"{paths[0].name} cannot be read: {error}")
         verdict = verdict_of(folder, manifest, plan)
         findings = [check_as_made(manifest["metrics"], verdict), broken]
         return Preflight(str(manifest["name"]), _made_by(plan), findings, None, verdict)
-    if solid and file.same_as(solid):
+    if solid and same:
         return keep(partial(_check_solid, folder, manifest, plan, solid)).of_mesh(file.name)
     return _check(folder, manifest, plan, file, others=() if solid else paths[1:])
 
 
 def _check_solid(folder: Path, manifest: Mapping[str, Any], plan: Plan, solid: Solid) -> Preflight:
     """Check a solid as the mesh files hold it, whose place in the texts ``ANY_MESH`` takes."""
-    file = MeshFile(Path(ANY_MESH), solid.vertices.astype(np.float32)[solid.faces])
+    file = MeshFile(Path(ANY_MESH), SharedCorners(solid.vertices.astype(np.float32), solid.faces))
     return _check(folder, manifest, plan, file, body_checked_by_finisher(manifest["metrics"], file.name))
 
 
@@ -106,25 +108,26 @@ def _check(
     if others:
         body.append(check_same_body(file, others))
     # the other checks take coordinates for millimetres and need a top
-    if any(finding.check == "size" and finding.status == "red" for finding in body) or not len(file.on_top):
+    if any(finding.check == "size" and finding.status == "red" for finding in body) or not file.top_count:
         return Preflight(str(manifest["name"]), _made_by(plan), [shown, *body], None, verdict)
-    file = file.as_fine_as(lens)
-    top = top_triangles(file, lens, eye)
-    traced = trace_triangles_for_views(top.triangles, lens, views)
+    found = survey(file, lens, eye, views)
+    top, light = found.top, (found.top, found.seen, found.areas_mm2, lens)
     findings = [
         shown,
         *body,
         check_bottom(file),
         check_thickness(file, top, lens, machine),
         check_slopes(top, lens, *_slope_limit(plan, machine)),
-        check_fresnel_loss(top, lens, traced),
-        check_total_reflection(top, lens, traced),
+        check_fresnel_loss(*light),
+        check_total_reflection(*light),
         *([check_detail(lens, machine)] if machine else []),
         *([check_stairs(file, top, lens, machine)] if isinstance(machine, Printer) else []),
         *([check_tool_reach(file, top, lens, machine)] if isinstance(machine, Mill) else []),
         check_bed(file, machine),
         check_material(file, machine, materials().get(plan.spec.lens.material or "")),
-        check_orientation(file, lens, views, traced, _run_psnr_db(manifest)),
+        check_orientation(
+            file.name, views[:CHECKED_VIEWS], found.pictures, found.flipped_pictures, _run_psnr_db(manifest)
+        ),
         check_source_resolution(lens, views),
         *check_colours(views),
         *check_placing(manifest["metrics"], lens, views[0]),
@@ -170,6 +173,6 @@ def _run_psnr_db(manifest: Mapping[str, Any]) -> float | None:
 def _mean_slopes_deg(top: TopTriangles, lens: Lens) -> FloatArray:
     """(N, N) mean slope of each facet, without walls."""
     inside = ~top.wall
-    total = np.bincount(top.facet[inside], top.slope_deg[inside], lens.facets**2)
-    count = np.bincount(top.facet[inside], minlength=lens.facets**2)
+    total = np.bincount(top.facet, top.slope_deg * inside, lens.facets**2)
+    count = np.bincount(top.facet, inside, lens.facets**2)
     return (total / np.maximum(count, 1)).reshape(lens.facets, lens.facets)

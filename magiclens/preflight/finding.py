@@ -148,7 +148,7 @@ def facets_where(bad: BoolArray, facet: IntArray, badness: Sequence[float] | np.
     """
     found = np.full(lens.facets**2, -np.inf)
     # not found[facet[bad]] = ...: of several triangles of a facet that would keep the last one
-    np.maximum.at(found, facet[bad], np.asarray(badness, float)[bad])
+    np.maximum.at(found, facet[bad], np.asarray(badness)[bad].astype(float))
     order = np.argsort(-found, kind="stable")[: int(np.isfinite(found).sum())]
     return tuple((int(k) // lens.facets, int(k) % lens.facets) for k in order)
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from magiclens.contract.artifacts import BoolArray, Lens
+from magiclens.contract.artifacts import BoolArray, FloatArray, Lens
 from magiclens.preflight.finding import Finding, facets_where, graded, worst_facet_text
-from magiclens.preflight.triangles import TopTriangles, angles_deg
+from magiclens.preflight.triangles import TopTriangles
 
 if TYPE_CHECKING:
     from magiclens.preflight.triangles_kernels import TracedTriangles
@@ -40,41 +40,71 @@ def check_slopes(top: TopTriangles, lens: Lens, limit_deg: float, limit_name: st
     return Finding("slopes", graded(float(bad.sum() / inside.sum()), 0.0, SMALL_SHARE), text, facets)
 
 
-def check_fresnel_loss(top: TopTriangles, lens: Lens, traced: Sequence[TracedTriangles]) -> Finding:
-    """Measure the share of the picture that is seen at a grazing angle, and so reflects the surroundings.
+class SeenTop(NamedTuple):
+    """What is known of the triangles of the top as eyes see them.
+
+    Args:
+        angle_deg: (F,) float32, the largest angle between the normal and the ray of any eye.
+        grazing: (F,) whether a triangle belongs to a facet that an eye sees at a grazing angle.
+        lost: (F,) whether it belongs to one whose light the flat bottom reflects totally.
+    """
+
+    angle_deg: FloatArray
+    grazing: BoolArray
+    lost: BoolArray
+
+
+def seen_top(wall: BoolArray, traced: Sequence[TracedTriangles]) -> tuple[SeenTop, FloatArray]:
+    """What eyes see of triangles of the top.
+
+    Args:
+        wall: (F,) whether they belong to no facet.
+        traced: Their triangles as each eye sees them.
+
+    Returns:
+        SeenTop, and (E, 3) how much of the picture each eye sees on facets, at grazing angles and without source, mm^2.
+    """
+    angles = [np.degrees(np.arccos(np.clip(seen.cosine, -1, 1))) for seen in traced]
+    on_facets = [(seen.area > 0) & ~wall for seen in traced]
+    grazing = [inside & (angle > _GRAZING_DEG) for inside, angle in zip(on_facets, angles, strict=True)]
+    lost = [inside & (seen.through == 0) for inside, seen in zip(on_facets, traced, strict=True)]
+    which = zip(traced, on_facets, grazing, lost, strict=True)
+    areas = np.array([[seen.area[some].sum() for some in parts] for seen, *parts in which])
+    angle = np.max(angles, axis=0).astype(np.float32)
+    return SeenTop(angle, np.any(grazing, axis=0), np.any(lost, axis=0)), areas
+
+
+def check_fresnel_loss(top: TopTriangles, seen: SeenTop, areas_mm2: FloatArray, lens: Lens) -> Finding:
+    """Grade the share of the picture that is seen at a grazing angle, and so reflects the surroundings.
 
     Args:
         top: The triangles of the top.
+        seen: The same as eyes see them.
+        areas_mm2: (E, 3), see ``seen_top``.
         lens: The lens.
-        traced: What each view's eye sees of them.
     """
-    angles = [angles_deg(seen) for seen in traced]
-    bad, share = _bad_triangles(top, traced, [angle > _GRAZING_DEG for angle in angles])
-    facets = facets_where(bad, top.facet, np.max(angles, axis=0), lens)
+    share = _worst_share(areas_mm2, 1)
+    facets = facets_where(seen.grazing, top.facet, seen.angle_deg, lens)
     slanting = f"is seen at more than {_GRAZING_DEG:g} deg from the normal"
     text = f"{100 * share:.2g} % of the picture {slanting}{worst_facet_text(facets)}"
     return Finding("Fresnel loss", graded(share, SMALL_SHARE, _LARGE_SHARE), text, facets)
 
 
-def check_total_reflection(top: TopTriangles, lens: Lens, traced: Sequence[TracedTriangles]) -> Finding:
-    """Measure the share of the picture that shows no source, since the flat bottom reflects its light totally.
+def check_total_reflection(top: TopTriangles, seen: SeenTop, areas_mm2: FloatArray, lens: Lens) -> Finding:
+    """Grade the share of the picture that shows no source, since the flat bottom reflects its light totally.
 
     Args:
         top: The triangles of the top.
+        seen: The same as eyes see them.
+        areas_mm2: (E, 3), see ``seen_top``.
         lens: The lens.
-        traced: What each view's eye sees of them.
     """
-    bad, share = _bad_triangles(top, traced, [(seen.through == 0) & (seen.area > 0) for seen in traced])
-    facets = facets_where(bad, top.facet, top.slope_deg, lens)
+    share = _worst_share(areas_mm2, 2)
+    facets = facets_where(seen.lost, top.facet, top.slope_deg, lens)
     text = f"{100 * share:.2g} % of the picture is reflected totally at the bottom{worst_facet_text(facets)}"
     return Finding("total reflection", graded(share, SMALL_SHARE, _LARGE_SHARE), text, facets)
 
 
-def _bad_triangles(
-    top: TopTriangles, traced: Sequence[TracedTriangles], bad: Sequence[BoolArray]
-) -> tuple[BoolArray, float]:
-    """(F,) triangles of facets that are bad for any eye, and the share of the picture they fill for the worst eye."""
-    areas = [np.where(top.wall, 0.0, seen.area) for seen in traced]
-    shares = [float(area[b].sum() / max(area.sum(), 1e-12)) for area, b in zip(areas, bad, strict=True)]
-    wrong = np.any([(area > 0) & b for area, b in zip(areas, bad, strict=True)], axis=0)
-    return wrong, max(shares)
+def _worst_share(areas_mm2: FloatArray, column: int) -> float:
+    """The share of the picture that a column of areas fills for the worst eye."""
+    return float((areas_mm2[:, column] / np.maximum(areas_mm2[:, 0], 1e-12)).max())

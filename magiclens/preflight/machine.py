@@ -30,10 +30,9 @@ def check_thickness(file: MeshFile, top: TopTriangles, lens: Lens, machine: Mach
         machine: None if the spec names none.
     """
     least, most = machine.thickness if machine else (_THINNEST_MM, np.inf)
-    lowest = top.triangles[..., 2].min(axis=1)
-    thin, high = float(lowest.min()), float(file.extent_mm[1, 2])
-    too_thin = lowest < least
-    facets = facets_where(too_thin & ~top.wall, top.facet, -lowest, lens)
+    thin, high = float(top.lowest_mm.min()), float(file.extent_mm[1, 2])
+    too_thin = top.lowest_mm < least
+    facets = facets_where(too_thin & ~top.wall, top.facet, -top.lowest_mm, lens)
     allowed = f"{least:g} to {most:g} mm" if machine else f"at least {least:g} mm"
     bad = bool(too_thin.any()) or high > most * (1 + 1e-6)
     at_fault = worst_facet_text(facets)
@@ -114,7 +113,7 @@ def check_tool_reach(file: MeshFile, top: TopTriangles, lens: Lens, mill: Mill) 
         mill: The machine.
     """
     under = top.slope_deg > 90.0 + 1e-3
-    deep = float(file.extent_mm[1, 2] - top.triangles[..., 2].min())
+    deep = float(file.extent_mm[1, 2] - top.lowest_mm.min())
     steep = top.slope_deg > mill.steepest_deg + 0.5
     if under.any():
         facets = facets_where(under, top.facet, top.slope_deg, lens)
@@ -123,8 +122,8 @@ def check_tool_reach(file: MeshFile, top: TopTriangles, lens: Lens, mill: Mill) 
         return Finding("tool reach", "red", text, facets)
     text = f"the top is {deep:.3g} mm deep, the cutter reaches {mill.reach:g} mm"
     if deep > mill.reach:
-        low = top.triangles[..., 2].min(axis=1)
-        facets = facets_where((low < file.extent_mm[1, 2] - mill.reach) & ~top.wall, top.facet, -low, lens)
+        low = (top.lowest_mm < file.extent_mm[1, 2] - mill.reach) & ~top.wall
+        facets = facets_where(low, top.facet, -top.lowest_mm, lens)
         return Finding("tool reach", "red", text + worst_facet_text(facets), facets)
     share = float(steep.sum() / len(steep))
     facets = facets_where(steep, top.facet, top.slope_deg, lens)

@@ -3,25 +3,36 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Protocol
 from xml.etree.ElementTree import iterparse
 from zipfile import ZipFile
 
 import numpy as np
 
-from magiclens.contract.artifacts import FloatArray, IntArray, Lens, Solid
+from magiclens.contract.artifacts import BoolArray, FloatArray, IntArray, Lens, Solid
 from magiclens.exporting.digits import numbers_of
-from magiclens.exporting.mesh_files import OBJ_FACE, OBJ_HEAD, OBJ_VERTEX, PLY_FACE, PLY_HEAD
+from magiclens.exporting.mesh_files import (
+    OBJ_FACE,
+    OBJ_HEAD,
+    OBJ_VERTEX,
+    PLY_FACE,
+    PLY_HEAD,
+    STL_HEADER,
+    STL_TRIANGLE,
+)
 from magiclens.exporting.three_mf import MODEL, TRIANGLE, VERTEX
+from magiclens.geometry.solid import faces_in_parts
 
 _SUFFIXES = ("stl", "ply", "glb", "3mf", "obj")
 """Suffixes of mesh files, those that are quick to read first."""
 BOTTOM_MM = 1e-4
 """Height up to which vertices belong to the flat bottom, mm; floats in files are not exactly 0."""
-_STL = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-"""A triangle of a binary STL file, 50 bytes; 80 bytes of text and the number of triangles come before them."""
+_STL_HEAD_BYTES = len(STL_HEADER) + 4
+"""Where the triangles of an STL file begin: the number of them is 4 bytes."""
 _PLY_COUNTS = re.compile(rb"ply\n.*?element vertex (\d{1,10})\n.*?element face (\d{1,10})\n", re.DOTALL)
 """The numbers of vertices and faces in the header of a PLY file."""
 _NANOMETRE_MM = 1e-6
@@ -32,72 +43,118 @@ _HASH_FACTORS = (0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9)
 """Odd numbers by which x, y and z are multiplied to hash a point."""
 
 
+class Triangles(Protocol):
+    """Triangles of which a few at a time are in memory; an array (F, 3, 3) float32 holds all of them."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, part: slice, /) -> FloatArray:
+        """(P, 3, 3) float32 corners, mm."""
+
+
+@dataclass(frozen=True)
+class SharedCorners:
+    """Triangles that share their corners.
+
+    Attributes:
+        vertices: (V, 3) float32, mm.
+        faces: (F, 3) indices of the corners.
+    """
+
+    vertices: FloatArray
+    faces: IntArray
+
+    def __len__(self) -> int:
+        return len(self.faces)
+
+    def __getitem__(self, part: slice) -> FloatArray:
+        return self.vertices.take(self.faces[part], axis=0)
+
+
+@dataclass(frozen=True)
+class _InStl:
+    """So many triangles in a binary STL file."""
+
+    path: Path
+    count: int
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __getitem__(self, part: slice) -> FloatArray:
+        first, end, _ = part.indices(self.count)
+        at = _STL_HEAD_BYTES + STL_TRIANGLE.itemsize * first
+        return np.ascontiguousarray(np.fromfile(self.path, STL_TRIANGLE, end - first, offset=at)["corners"])
+
+
 @dataclass(frozen=True)
 class MeshFile:
     """The triangles of a mesh file.
 
     Attributes:
         path: The file.
-        triangles: (F, 3, 3) float32 corners, mm, lens frame, counter-clockwise as seen from outside if the file is
-            right.
+        triangles: Their corners, mm, lens frame, counter-clockwise as seen from outside if the file is right.
     """
 
     path: Path
-    triangles: FloatArray
+    triangles: Triangles
 
     @property
     def name(self) -> str:
         """The file's name."""
         return self.path.name
 
-    @cached_property
+    @property
     def extent_mm(self) -> FloatArray:
         """(2, 3) lowest and highest x, y and z, mm."""
-        axes = [self.triangles[..., k] for k in range(3)]
-        return np.array([[axis.min() for axis in axes], [axis.max() for axis in axes]], np.float64)
+        return self._measured[0]
 
-    @cached_property
+    @property
     def volume_mm3(self) -> float:
         """The volume by the divergence theorem; positive if faces point outward."""
-        a, b, c = np.moveaxis(self.triangles, 1, 0)
-        # the float32 of the file is exact enough for products, but not for their sum
-        return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum(dtype=np.float64) / 6)
+        return self._measured[1]
+
+    @property
+    def top_count(self) -> int:
+        """Number of the triangles that have no corner on the flat bottom."""
+        return self._measured[2]
 
     @cached_property
-    def on_top(self) -> IntArray:
-        """Indices of the triangles that have no corner on the flat bottom."""
-        return np.flatnonzero(np.minimum.reduce(np.moveaxis(self.triangles[..., 2], 1, 0)) > BOTTOM_MM)
+    def _measured(self) -> tuple[FloatArray, float, int]:
+        """``extent_mm``, ``volume_mm3`` and ``top_count``."""
+        low, high, sixfold, top_count = np.full(3, np.inf), np.full(3, -np.inf), 0.0, 0
+        for triangles in self._parts():
+            axes = [triangles[..., k] for k in range(3)]
+            low = np.minimum(low, [axis.min() for axis in axes])
+            high = np.maximum(high, [axis.max() for axis in axes])
+            a, b, c = np.moveaxis(triangles, 1, 0)
+            # the float32 of the file is exact enough for products, but not for their sum
+            sixfold += float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum(dtype=np.float64))
+            top_count += int(_is_top(triangles).sum())
+        return np.array([low, high]), sixfold / 6, top_count
 
-    def mirrored(self) -> MeshFile:
-        """The body mirrored in the plane x = 0."""
-        # reversing the corners keeps the faces pointing outward
-        swapped = (self.triangles * np.array([-1, 1, 1], np.float32))[:, ::-1]
-        return MeshFile(self.path, np.ascontiguousarray(swapped))
+    def _parts(self) -> Iterator[FloatArray]:
+        return (self.triangles[part] for part in faces_in_parts(self.triangles))
 
-    def as_fine_as(self, lens: Lens) -> MeshFile:
-        """The body with large triangles of its top divided, if it has fewer than the lens has micro-facets.
+    def top_parts(self, lens: Lens) -> Iterator[FloatArray]:
+        """The triangles that have no corner on the flat bottom, some at a time.
 
-        Rays are followed through the middles of triangles only, so these must lie everywhere.
+        Large ones are divided if there are fewer than the lens has micro-facets: rays are followed through the middles
+        of triangles only, so these must lie everywhere.
+
+        Yields:
+            (P, 3, 3) float32 corners, mm.
         """
-        if len(self.on_top) >= 2 * (lens.facets * lens.microfacets) ** 2:
-            return self
-        from trimesh.remesh import subdivide_to_size
-
-        top = self.triangles[self.on_top].astype(np.float64)
-        longest = _LONGEST * lens.pitch_mm / lens.microfacets
-        points, faces = subdivide_to_size(top.reshape(-1, 3), np.arange(3 * len(top)).reshape(-1, 3), longest, 20)
-        others = np.delete(self.triangles, self.on_top, axis=0)
-        return MeshFile(self.path, np.concatenate([points[faces].astype(np.float32), others]))
+        few = self.top_count < 2 * (lens.facets * lens.microfacets) ** 2
+        for triangles in self._parts():
+            top = triangles[_is_top(triangles)]
+            yield _divided(top, _LONGEST * lens.pitch_mm / lens.microfacets) if few and len(top) else top
 
     def same_as(self, solid: Solid) -> bool:
         """Whether the file holds the faces of a solid in the same order, each coordinate rounded as files round it."""
-        if len(self.triangles) != len(solid.faces):
-            return False
-        wanted = solid.vertices.astype(np.float32)
-        near = np.spacing(np.abs(wanted)) + np.float32(_NANOMETRE_MM)
-        return all(
-            bool((np.abs(wanted[ends] - self.triangles[:, k]) <= near[ends]).all())
-            for k, ends in enumerate(solid.faces.T)
+        wanted = SharedCorners(solid.vertices.astype(np.float32), solid.faces)
+        return len(self.triangles) == len(wanted) and all(
+            _is_near(self.triangles[part], wanted[part]) for part in faces_in_parts(wanted)
         )
 
     def solid(self, eye_mm: FloatArray | None) -> Solid:
@@ -108,7 +165,7 @@ class MeshFile:
         Args:
             eye_mm: (3,) eye along whose rays the top was cut; None for vertical cells.
         """
-        corners = self.triangles.reshape(-1, 3) + np.float32(0)  # turns -0 into 0, which has other bits
+        corners = self.triangles[:].reshape(-1, 3) + np.float32(0)  # turns -0 into 0, which has other bits
         first, index = _distinct(corners)
         vertices = corners[first].astype(np.float64)
         low = vertices[:, 2] <= BOTTOM_MM
@@ -121,30 +178,34 @@ class MeshFile:
 
 def read_mesh_file(path: Path) -> MeshFile:
     """Read an STL, PLY, GLB, 3MF or OBJ file. Raises ValueError if it is broken; other readers raise other errors."""
+    return MeshFile(path, _read(path))
+
+
+def _read(path: Path) -> Triangles:
     if path.suffix == ".stl":
-        content = path.read_bytes()
-        count = int.from_bytes(content[80:84], "little")
-        if len(content) != 84 + _STL.itemsize * count:
+        with path.open("rb") as file:
+            count = int.from_bytes(file.read(_STL_HEAD_BYTES)[len(STL_HEADER) :], "little")
+        if path.stat().st_size != _STL_HEAD_BYTES + STL_TRIANGLE.itemsize * count:
             raise ValueError(f"{path.name} is cut short or is not binary STL")
-        return MeshFile(path, np.ascontiguousarray(np.frombuffer(content, _STL, count, 84)["corners"]))
+        return _InStl(path, count)
     if path.suffix == ".3mf":
-        return MeshFile(path, _three_mf(path))
+        return _three_mf(path)
     if path.suffix == ".ply" and (triangles := _own_ply(path.read_bytes())) is not None:
-        return MeshFile(path, triangles)
+        return triangles
     if path.suffix == ".obj" and (triangles := _own_obj(path.read_bytes())) is not None:
-        return MeshFile(path, triangles)
+        return triangles
     from trimesh import load_mesh
 
     mesh = load_mesh(str(path), process=False)
-    triangles = np.asarray(mesh.triangles)
+    points = np.asarray(mesh.vertices)
     if path.suffix == ".glb":  # glTF is in metres and has +y up
-        x, up, away = np.moveaxis(triangles * 1000, -1, 0)
-        triangles = np.stack([x, -away, up], axis=-1)
-    return MeshFile(path, triangles.astype(np.float32))
+        x, up, away = points.T * 1000
+        points = np.stack([x, -away, up], axis=-1)
+    return _shared(points, np.asarray(mesh.faces))
 
 
-def _own_ply(content: bytes) -> FloatArray | None:
-    """(F, 3, 3) float32: the triangles of a PLY file as our exporter writes it; None if somebody else has.
+def _own_ply(content: bytes) -> SharedCorners | None:
+    """The triangles of a PLY file as our exporter writes it; None if somebody else has.
 
     Raises ValueError if it was damaged since.
     """
@@ -159,37 +220,36 @@ def _own_ply(content: bytes) -> FloatArray | None:
     listed = np.frombuffer(content, PLY_FACE, faces, len(head) + points.nbytes)
     if (listed["count"] != 3).any():
         raise ValueError("its faces are not triangles")
-    return _triangles(points, listed["corners"])
+    return _shared(points, listed["corners"])
 
 
-def _own_obj(content: bytes) -> FloatArray | None:
-    """(F, 3, 3) float32: the triangles of an OBJ file as our exporter writes it; None if somebody else has."""
+def _own_obj(content: bytes) -> SharedCorners | None:
+    """The triangles of an OBJ file as our exporter writes it; None if somebody else has."""
     end = content.find(b"\n%s" % OBJ_FACE[0]) + 1
     if not content.startswith(OBJ_HEAD) or end < len(OBJ_HEAD):
         return None
     vertices, faces = numbers_of(content[len(OBJ_HEAD) : end], OBJ_VERTEX), numbers_of(content[end:], OBJ_FACE)
-    return None if vertices is None or faces is None else _triangles(vertices, faces.astype(np.int64) - 1)
+    return None if vertices is None or faces is None else _shared(vertices, faces - 1)
 
 
-def _triangles(vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """(F, 3, 3) float32: the corners of faces. Raises ValueError if there are no such vertices."""
-    if ((faces < 0) | (faces >= len(vertices))).any():
+def _shared(vertices: FloatArray, faces: FloatArray | IntArray) -> SharedCorners:
+    """Triangles by vertices (V, 3) and indices (F, 3) of them. Raises ValueError if there are no such vertices."""
+    if len(faces) and not (faces.min() >= 0 and faces.max() < len(vertices)):
         raise ValueError("its faces name vertices that are not there")
-    triangles: FloatArray = vertices.astype(np.float32)[faces]
-    return triangles
+    return SharedCorners(vertices.astype(np.float32), faces.astype(np.int32))
 
 
-def _three_mf(path: Path) -> FloatArray:
-    """(F, 3, 3) float32: the triangles of the one mesh of a 3MF package in millimetres, without its placement."""
+def _three_mf(path: Path) -> SharedCorners:
+    """The triangles of the one mesh of a 3MF package in millimetres, without its placement."""
     with ZipFile(path) as archive:
-        return _triangles(*(_own_three_mf(archive.read(MODEL)) or _any_three_mf(archive)))
+        return _shared(*(_own_three_mf(archive.read(MODEL)) or _any_three_mf(archive)))
 
 
-def _own_three_mf(model: bytes) -> tuple[FloatArray, IntArray] | None:
+def _own_three_mf(model: bytes) -> tuple[FloatArray, FloatArray] | None:
     """Vertices (V, 3) and faces (F, 3) of a model as our exporter writes it; None if somebody else has."""
     blocks = (_block(model, b"vertices"), _block(model, b"triangles"))
     vertices, faces = (numbers_of(text, row) for text, row in zip(blocks, (VERTEX, TRIANGLE), strict=True))
-    return None if vertices is None or faces is None else (vertices, faces.astype(np.int64))
+    return None if vertices is None or faces is None else (vertices, faces)
 
 
 def _block(model: bytes, name: bytes) -> bytes:
@@ -216,6 +276,36 @@ def _any_three_mf(archive: ZipFile) -> tuple[FloatArray, IntArray]:
 def mesh_files(folder: Path) -> list[Path]:
     """The mesh files of a run folder, those that are quick to read first."""
     return [path for path in (folder / f"lens.{suffix}" for suffix in _SUFFIXES) if path.is_file()]
+
+
+def mirrored(triangles: FloatArray) -> FloatArray:
+    """Triangles (F, 3, 3) mirrored in the plane x = 0."""
+    # reversing the corners keeps the faces pointing outward
+    flipped: FloatArray = triangles[:, ::-1].copy()
+    flipped[..., 0] *= -1
+    return flipped
+
+
+def _is_top(triangles: FloatArray) -> BoolArray:
+    """(F,) whether triangles (F, 3, 3) have no corner on the flat bottom."""
+    a, b, c = triangles[..., 2].T
+    return np.asarray((a > BOTTOM_MM) & (b > BOTTOM_MM) & (c > BOTTOM_MM))
+
+
+def _is_near(found: FloatArray, wanted: FloatArray) -> bool:
+    """Whether coordinates are those of float32, or these rounded to nanometres."""
+    if np.array_equal(found, wanted):
+        return True
+    return bool((np.abs(wanted - found) <= np.spacing(np.abs(wanted)) + np.float32(_NANOMETRE_MM)).all())
+
+
+def _divided(triangles: FloatArray, longest_mm: float) -> FloatArray:
+    """Triangles (F, 3, 3) float32 whose edges are not longer, in the place of larger ones."""
+    from trimesh.remesh import subdivide_to_size
+
+    corners = np.arange(3 * len(triangles)).reshape(-1, 3)
+    points, faces = subdivide_to_size(triangles.reshape(-1, 3).astype(np.float64), corners, longest_mm, 20)
+    return SharedCorners(np.asarray(points, np.float32), faces)[:]
 
 
 def _distinct(points: FloatArray) -> tuple[IntArray, IntArray]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -11,8 +12,6 @@ from magiclens.contract.artifacts import FloatArray, IntArray, Lens, View
 from magiclens.images import resize
 from magiclens.images.score import best_exposure_psnr_db
 from magiclens.preflight.finding import Finding, Status
-from magiclens.preflight.mesh_file import MeshFile
-from magiclens.preflight.triangles import trace_triangles_for_views
 
 if TYPE_CHECKING:
     from magiclens.preflight.triangles_kernels import TracedTriangles
@@ -31,11 +30,17 @@ _TURNS = ("as it is", "turned by 90 deg", "turned by 180 deg", "turned by 270 de
 """How targets are turned for comparison, in words, by the number of quarter turns."""
 
 
+def coarse_side(lens: Lens) -> int:
+    """Pixels along the side of the picture that a mesh file's triangles make."""
+    # 3 x 3 micro-facets to a pixel, or more: every triangle is one ray, and no pixel should stay empty
+    return int(np.clip(lens.facets * lens.microfacets // 3, 12, 96))
+
+
 def check_orientation(
-    file: MeshFile,
-    lens: Lens,
+    name: str,
     views: Sequence[View],
-    traced: Sequence[TracedTriangles],
+    pictures: Sequence[FloatArray],
+    flipped_pictures: Sequence[FloatArray],
     run_psnr_db: float | None,
 ) -> Finding:
     """Compare the picture of a mesh file with its targets, their mirror images and their quarter turns.
@@ -43,30 +48,23 @@ def check_orientation(
     The file itself is mirrored, too: if that shows the targets better, its faces are inside out.
 
     Args:
-        file: The mesh file.
-        lens: The lens.
-        views: All views, in the lens frame.
-        traced: What their eyes see of the file's top.
+        name: The name of the mesh file.
+        views: Those that are checked, in the lens frame.
+        pictures: (S, S, C) linear light, what their eyes see of the file.
+        flipped_pictures: What they see of the mirrored file.
         run_psnr_db: Mean PSNR of the run's pictures; None if it has taken none.
     """
-    views, traced = views[:CHECKED_VIEWS], traced[:CHECKED_VIEWS]
-    # 3 x 3 micro-facets to a pixel, or more: every triangle is one ray, and no pixel should stay empty
-    side = int(np.clip(lens.facets * lens.microfacets // 3, 12, 96))
-    pictures = [picture_of_triangles(seen, lens, view, side) for seen, view in zip(traced, views, strict=True)]
+    side = len(pictures[0])
     targets = [resize(view.target, (side, side)) for view in views]
-    psnr_db = {name: _mean_psnr_db(pictures, [np.rot90(t, k) for t in targets]) for k, name in enumerate(_TURNS)}
-    for k, name in enumerate(_TURNS):
+    psnr_db = {turn: _mean_psnr_db(pictures, [np.rot90(t, k) for t in targets]) for k, turn in enumerate(_TURNS)}
+    for k, turn in enumerate(_TURNS):
         mirrored = [np.rot90(t[:, ::-1], k) for t in targets]
-        psnr_db[f"mirrored and {name}" if k else "mirrored"] = _mean_psnr_db(pictures, mirrored)
-    # a mirrored file is traced anew: its picture is not the mirror image of the right one, since the source stays
-    flipped_file = file.mirrored()
-    flipped_traced = trace_triangles_for_views(flipped_file.triangles[file.on_top], lens, views)
-    flipped_pictures = [picture_of_triangles(t, lens, v, side) for t, v in zip(flipped_traced, views, strict=True)]
+        psnr_db[f"mirrored and {turn}" if k else "mirrored"] = _mean_psnr_db(pictures, mirrored)
     flipped = _mean_psnr_db(flipped_pictures, targets)
     right = psnr_db.pop(_TURNS[0])
-    best = max(psnr_db, key=lambda name: psnr_db[name])
+    best = max(psnr_db, key=lambda turn: psnr_db[turn])
     # differences alone: this coarse picture's own PSNR would be another number for what the report shows
-    text, farther = f"seen through {file.name}, the picture", "dB farther from its target"
+    text, farther = f"seen through {name}, the picture", "dB farther from its target"
     # only a picture about as good as the run's proves that the file is turned or mirrored
     good = -np.inf if run_psnr_db is None else run_psnr_db - _EXPECTED_LOSS_DB
     if flipped > max(right + _CLEARLY_BETTER_DB, good):
@@ -84,33 +82,36 @@ def check_orientation(
     return Finding("mirror image", "green", f"{text} is the right way round; mirrored or turned, {other:.1f} {farther}")
 
 
-def picture_of_triangles(traced: TracedTriangles, lens: Lens, view: View, side: int) -> FloatArray:
-    """The picture that a view's eye sees, made of one ray per triangle.
+def light_in_pixels(traced: TracedTriangles, lens: Lens, view: View) -> FloatArray:
+    """The light that triangles throw into the pixels of the picture of a view, by one ray for each triangle.
 
     Every triangle's light, from the source pixel that its ray meets, is added to the pixel in which its middle is seen,
     weighted by the area that it fills.
 
     Args:
-        traced: What the eye sees of the top's triangles.
+        traced: What the eye sees of triangles of the top.
         lens: The lens.
         view: The view, in the lens frame.
-        side: Pixels per side of the picture.
 
     Returns:
-        (side, side, C) float32, linear light.
+        (C + 1, S * S) sums of linear light times area, and of areas, mm^2.
     """
-    source, scale = view.source, view.source.shape[1] / lens.source_size_mm
+    source, scale, side = view.source, view.source.shape[1] / lens.source_size_mm, coarse_side(lens)
     # rows go down and y goes up, hence the minus of y and v
     rows, columns = (_pixels(x * scale, n) for x, n in ((-traced.y, len(source)), (traced.x, source.shape[1])))
-    inside = (traced.through > 0) & (np.maximum(abs(traced.x), abs(traced.y)) <= lens.source_size_mm / 2)
-    light = source[rows, columns] * (traced.area * traced.through * inside)[:, None]
     down, right = (_pixels(x * side / lens.size_mm, side) for x in (-traced.v, traced.u))
-    within = np.maximum(abs(traced.u), abs(traced.v)) <= lens.size_mm / 2
-    pixel, area = (down * side + right)[within], traced.area[within]
-    total = [np.bincount(pixel, light[within, c], side * side) for c in range(source.shape[-1])]
+    area = traced.area * (np.maximum(abs(traced.u), abs(traced.v)) <= lens.size_mm / 2)
+    lit = area * traced.through * (np.maximum(abs(traced.x), abs(traced.y)) <= lens.source_size_mm / 2)
+    weights = [*(source[rows, columns].T * lit), area]
+    return np.array([np.bincount(down * side + right, weight, side * side) for weight in weights])
+
+
+def picture_of_light(light: FloatArray) -> FloatArray:
+    """The picture (S, S, C) float32, linear light, by what ``light_in_pixels`` finds of all triangles of the top."""
+    side = math.isqrt(light.shape[-1])
     # a pixel in which no triangle is seen is black
-    filled = np.maximum(np.bincount(pixel, area, side * side), 1e-9)
-    return np.asarray((np.stack(total, axis=-1) / filled[:, None]).reshape(side, side, -1), np.float32)
+    shown = light[:-1] / np.maximum(light[-1], 1e-9)
+    return np.asarray(shown.T.reshape(side, side, -1), np.float32)
 
 
 def check_source_resolution(lens: Lens, views: Sequence[View]) -> Finding:

@@ -44,7 +44,7 @@ def check_stairs(file: MeshFile, top: TopTriangles, lens: Lens, printer: Printer
         lens: The lens.
         printer: The machine.
     """
-    normals = _normals(top)
+    normals = _normals(file, top, lens)
     if printer.slicing == "diffused" and printer.tilt is None:
         other_mm = _ray_error_mm(normals, lens, printer, None)
         cut = f"stairs of layers that another slicer cuts from {file.name} throw rays off by {other_mm:.2g} mm rms"
@@ -68,10 +68,15 @@ def check_stairs(file: MeshFile, top: TopTriangles, lens: Lens, printer: Printer
     return Finding("layers", status, f"{text}; {advice}")
 
 
-def _normals(top: TopTriangles) -> FloatArray:
+def _normals(file: MeshFile, top: TopTriangles, lens: Lens) -> FloatArray:
     """(S, 3) normals of some triangles of facets, as long as their areas, lens frame."""
-    inside = np.flatnonzero(~top.wall)
-    a, b, c = np.moveaxis(top.triangles[inside[:: max(len(inside) // _SAMPLE, 1)]].astype(np.float64), 1, 0)
+    inside, first, picked = np.flatnonzero(~top.wall), 0, []
+    wanted = inside[:: max(len(inside) // _SAMPLE, 1)]
+    for triangles in file.top_parts(lens):
+        here = wanted - first
+        picked.append(triangles[here[(here >= 0) & (here < len(triangles))]])
+        first += len(triangles)
+    a, b, c = np.moveaxis(np.concatenate(picked).astype(np.float64), 1, 0)
     return np.asarray(np.cross(b - a, c - a))
 
 

@@ -6,47 +6,44 @@ by its middle, and triangles do not hide each other.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from magiclens.contract.artifacts import BoolArray, FloatArray, IntArray, Lens, View
-from magiclens.preflight.mesh_file import MeshFile
+from magiclens.contract.artifacts import BoolArray, FloatArray, IntArray, Lens
 
 if TYPE_CHECKING:
     from magiclens.preflight.triangles_kernels import TracedTriangles
 
 
-@dataclass(frozen=True)
-class TopTriangles:
-    """The triangles of the top, lens frame.
+class TopTriangles(NamedTuple):
+    """What is known of the triangles of the top, in few bytes each: there may be many millions of them.
 
-    Attributes:
-        triangles: (F, 3, 3) corners, mm.
-        facet: (F,) the facet that each triangle lies in, row * N + column.
+    Args:
+        facet: (F,) int32, the facet that each triangle lies in, row * N + column.
         wall: (F,) whether a triangle belongs to no facet, but to a wall or the rim.
-        slope_deg: (F,) angle between +z and the outward normal.
+        slope_deg: (F,) float32, angle between +z and the outward normal.
+        lowest_mm: (F,) float32, z of the lowest corner.
     """
 
-    triangles: FloatArray
     facet: IntArray
     wall: BoolArray
     slope_deg: FloatArray
+    lowest_mm: FloatArray
 
 
-def top_triangles(file: MeshFile, lens: Lens, eye_mm: FloatArray | None) -> TopTriangles:
-    """The triangles of a file that belong to the top.
+def top_triangles(triangles: FloatArray, lens: Lens, eye_mm: FloatArray | None) -> TopTriangles:
+    """What is known of triangles of the top.
 
     Args:
-        file: The mesh file.
-        lens: The lens that it should hold.
+        triangles: (F, 3, 3) corners, lens frame, mm.
+        lens: The lens that they should belong to.
         eye_mm: (3,) eye along whose rays the facets are cut, lens frame; None for vertical cells.
     """
-    triangles = file.triangles[file.on_top]
-    facet, wall = facets_of_triangles(triangles, lens, eye_mm)
-    return TopTriangles(triangles, facet, wall, triangle_slopes_deg(triangles))
+    a, b, c = np.ascontiguousarray(triangles.transpose(1, 2, 0), np.float64)  # (3, F) each: numpy is fast along rows
+    facet, wall = _facets_at((a + b + c) / 3, lens, eye_mm)
+    lowest = np.minimum(np.minimum(a[2], b[2]), c[2])
+    return TopTriangles(facet, wall, _slopes_deg(b - a, c - a).astype(np.float32), lowest.astype(np.float32))
 
 
 def trace_triangles(triangles: FloatArray, lens: Lens, eye_mm: FloatArray) -> TracedTriangles:
@@ -59,45 +56,30 @@ def trace_triangles(triangles: FloatArray, lens: Lens, eye_mm: FloatArray) -> Tr
     return traced
 
 
-def trace_triangles_for_views(triangles: FloatArray, lens: Lens, views: Sequence[View]) -> list[TracedTriangles]:
-    """What the eye of each view, in the lens frame, sees of triangles (F, 3, 3); equal eyes are traced once."""
-    traced: dict[bytes, TracedTriangles] = {}
-    for view in views:
-        if view.eye_mm.tobytes() not in traced:
-            traced[view.eye_mm.tobytes()] = trace_triangles(triangles, lens, view.eye_mm)
-    return [traced[view.eye_mm.tobytes()] for view in views]
+def _slopes_deg(p: FloatArray, q: FloatArray) -> FloatArray:
+    """(F,) angles between +z and the outward normals of triangles with edges (3, F); above 90 one faces down."""
+    x, y, z = p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]
+    return np.asarray(np.degrees(np.arctan2(np.hypot(x, y), z)))
 
 
-def angles_deg(traced: TracedTriangles) -> FloatArray:
-    """(F,) angles between the triangles' normals and the eye's rays."""
-    return np.degrees(np.arccos(np.clip(traced.cosine, -1, 1)))
-
-
-def triangle_slopes_deg(triangles: FloatArray) -> FloatArray:
-    """(F,) angles between +z and the outward normals of triangles (F, 3, 3); above 90 a triangle faces down."""
-    a, b, c = np.moveaxis(triangles, 1, 0)
-    normal = np.cross((b - a).astype(np.float64), (c - a).astype(np.float64))
-    return np.asarray(np.degrees(np.arctan2(np.hypot(normal[:, 0], normal[:, 1]), normal[:, 2])))
-
-
-def facets_of_triangles(triangles: FloatArray, lens: Lens, eye_mm: FloatArray | None) -> tuple[IntArray, BoolArray]:
+def _facets_at(middle: FloatArray, lens: Lens, eye_mm: FloatArray | None) -> tuple[IntArray, BoolArray]:
     """The facet that each triangle lies in.
 
     Args:
-        triangles: (F, 3, 3) corners, lens frame, mm.
+        middle: (3, F) middles of the triangles, lens frame, mm.
         lens: The lens.
         eye_mm: (3,) eye along whose rays the facets are cut; None for vertical cells.
 
     Returns:
-        (F,) row * N + column of the facet, and (F,) whether the triangle belongs to a wall or to the rim instead.
+        (F,) int32 row * N + column of the facet, and (F,) whether the triangle belongs to a wall or to the rim instead.
     """
-    middle = triangles.mean(axis=1, dtype=np.float64)
+    x, y, z = middle
     if eye_mm is not None:
         # along the eye's ray to the reference plane, on which the borders of cells are straight
-        away = (eye_mm[2] - lens.thickness_mm) / (eye_mm[2] - middle[:, 2])
-        middle = eye_mm + (middle - eye_mm) * away[:, None]
-    cells = np.stack([lens.size_mm / 2 - middle[:, 1], middle[:, 0] + lens.size_mm / 2]) / lens.pitch_mm
-    index = np.clip(cells.astype(int), 0, lens.facets - 1)
+        away = (eye_mm[2] - lens.thickness_mm) / (eye_mm[2] - z)
+        x, y = eye_mm[0] + (x - eye_mm[0]) * away, eye_mm[1] + (y - eye_mm[1]) * away
+    cells = np.stack([lens.size_mm / 2 - y, x + lens.size_mm / 2]) / lens.pitch_mm
+    index = np.clip(cells.astype(np.int32), 0, lens.facets - 1)
     border = 0.51 * lens.wall_mm / lens.pitch_mm  # half a wall's width, and a little for rounding in the file
-    off = (np.minimum(cells - index, index + 1 - cells) < border).any(axis=0)
-    return index[0] * lens.facets + index[1], off
+    off = np.minimum(cells - index, index + 1 - cells) < border
+    return index[0] * lens.facets + index[1], off[0] | off[1]

@@ -9,7 +9,6 @@ import numpy as np
 
 from magiclens.contract.artifacts import FloatArray
 from magiclens.kernels.compiler import njit
-from magiclens.kernels.threads import in_threads
 from magiclens.optics.refraction import refract, transmittance
 
 
@@ -36,10 +35,10 @@ class TracedTriangles(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def _trace_part(part, triangles, eye, thickness, gap, ior, traced):
-    """Part of the triangles, see ``trace_middles``; traced: zeros, to fill."""
+def _trace(triangles, eye, thickness, gap, ior, traced):
+    """See ``trace_middles``; traced: zeros, to fill."""
     u, v, area, cosines, x, y, through = traced
-    for f in range(part.first, part.end):
+    for f in range(len(triangles)):
         # float() makes them float64: small triangles are small differences of float32 numbers
         ax, ay, az = float(triangles[f, 0, 0]), float(triangles[f, 0, 1]), float(triangles[f, 0, 2])
         bx, by, bz = float(triangles[f, 1, 0]), float(triangles[f, 1, 1]), float(triangles[f, 1, 2])
@@ -97,5 +96,5 @@ def trace_middles(triangles: FloatArray, eye: FloatArray, thickness: float, gap:
         TracedTriangles.
     """
     traced = TracedTriangles(*np.zeros((7, len(triangles))))
-    in_threads(_trace_part, len(triangles), triangles, eye, thickness, gap, ior, traced)
+    _trace(triangles, eye, thickness, gap, ior, traced)
     return traced

@@ -254,10 +254,10 @@ def _analyse(plan: Plan, scene: Scene) -> None:
 
 
 def _inspect(plan: Plan, scene: Scene) -> None:
-    from magiclens.preflight.triangles import trace_triangles_for_views
+    from magiclens.preflight.triangles import trace_triangles
 
     solid = _solid(scene)
-    trace_triangles_for_views(solid.vertices.astype(np.float32)[solid.faces], scene.lens, scene.views)
+    trace_triangles(solid.vertices.astype(np.float32)[solid.faces], scene.lens, scene.views[0].eye_mm)
 
 
 _PARTS: dict[str, Callable[[Plan, Scene], None]] = {

@@ -13,6 +13,7 @@ from itertools import compress
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
+from magiclens.cache.store import file_digest
 from magiclens.config.fields import Inputs
 from magiclens.contract.artifacts import Scene, View
 from magiclens.plan.compile import Plan, Step
@@ -217,5 +218,4 @@ def _files(folder: Path, within: Path) -> list[dict[str, Any]]:
 
 
 def _file(path: Path, name: str) -> dict[str, Any]:
-    content = path.read_bytes()
-    return {"path": name, "sha256": hashlib.sha256(content).hexdigest(), "bytes": len(content)}
+    return {"path": name, "sha256": file_digest(path), "bytes": path.stat().st_size}
