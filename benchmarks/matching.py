@@ -60,27 +60,25 @@ def search_window(source: FloatArray, target: FloatArray) -> FloatArray:
     """(F, parts^2) least sums of squared differences, by the search of the ``exhaustive`` matcher."""
     from magiclens.matching.exhaustive_kernels import search
     from magiclens.matching.pool import Pool
-    from magiclens.matching.raster_kernels import BLOCK_PIXELS, block_means
-    from magiclens.matching.rasters import Raster, patch_rests
+    from magiclens.matching.raster_kernels import patch_features
+    from magiclens.matching.rasters import Raster
     from magiclens.matching.tuples import Tiles, Window
     from magiclens.optics.medium import Optics
 
     plain = np.ascontiguousarray(source.transpose(2, 0, 1))
-    samples, means = plain[:, None], block_means(plain, 1, 1)[:, None, None]
-    rests = patch_rests(plain, 1, 1, _PIXELS)[None, None]
+    samples = plain[:, None]
+    features = patch_features(samples, 1, (1, 1), _PIXELS)
     values = np.ascontiguousarray(tiles_of(target).transpose(0, 3, 1, 2))
-    per_side = _PIXELS // BLOCK_PIXELS
-    blocks = values.reshape(*values.shape[:2], per_side, BLOCK_PIXELS, per_side, BLOCK_PIXELS).mean(axis=(3, 5))
     n = len(target) // _PIXELS
     at = (np.arange(n) + 0.5 - n / 2) * _PIXELS
     centres = np.stack(np.meshgrid(at, at), axis=-1).reshape(-1, 2)
-    raster = Raster(samples, means, rests, 1.0, 1.0, 1.0, 1.0, plain.shape[2], plain.shape[1], 1, 1)
+    raster = Raster(samples, features, 1.0, 1.0, 1.0, 1.0, plain.shape[2], plain.shape[1], 1, 1)
     # offsets of one pixel in a window of 100; a step of next to nothing makes the distance term nothing
     window = Window(0.5 * _OFFSETS - 0.25, 1e-9, _PARTS)
     # an eye so far above that a slab so thick can show every patch
     optics = Optics(np.array([0.0, 0.0, 1e6]), False, 1e5, 0.0, 1.49, -1.0, 1e6)
     pool = Pool(len(values), _PARTS)
-    search(Tiles(values, centres, float(_PIXELS)), blocks, raster, window, False, optics, pool.found)
+    search(Tiles(values, centres, float(_PIXELS)), raster, window, False, optics, pool.found)
     return pool.errors * np.float32(values[0].size)
 
 

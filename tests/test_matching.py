@@ -25,7 +25,7 @@ from magiclens.matching.exhaustive import Exhaustive, resolved_scales, search_al
 from magiclens.matching.multi_view import MultiViewMatcher
 from magiclens.matching.polishing import blur_levels, box_blur, polished
 from magiclens.matching.pool import Pool
-from magiclens.matching.raster_kernels import BLOCK_PIXELS, average_columns
+from magiclens.matching.raster_kernels import BLOCK_PIXELS, GREY, average_columns
 from magiclens.matching.tuples import Tiles
 from magiclens.optics.medium import slab_of
 from magiclens.optics.refraction import facet_normal
@@ -121,7 +121,7 @@ def test_raster_samples_are_box_averages_of_the_source_at_their_places(scales: t
     x, y = (rasters.raster_axis(s, px, 0.13, size) for s in scales)
     wide, tall = (s * px + grain for s in scales)
     columns = average_columns(source, *rasters.footprints(x, wide, size, 67))
-    samples, means, rests = rasters.build_raster(columns, *rasters.footprints(y, tall, size, 67), x, y, 8)
+    samples, features = rasters.build_raster(columns, *rasters.footprints(y, tall, size, 67), x, y, 8)
     span_x, span_y = (BLOCK_PIXELS - 1) * x.skip, (BLOCK_PIXELS - 1) * y.skip
     corners = [(0, 0), (y.count - 1, x.count - 1)]
     for r, c in corners + [(RNG.integers(y.count), RNG.integers(x.count)) for _ in range(40)]:
@@ -132,13 +132,17 @@ def test_raster_samples_are_box_averages_of_the_source_at_their_places(scales: t
         r, c = RNG.integers(y.count - span_y), RNG.integers(x.count - span_x)
         rs, cs = np.meshgrid(r + np.arange(BLOCK_PIXELS) * y.skip, c + np.arange(BLOCK_PIXELS) * x.skip)
         block = samples[:, cs % x.skip, rs, cs // x.skip].mean(axis=(1, 2))
-        np.testing.assert_allclose(means[:, r % y.stride, c % x.stride, r // y.stride, c // x.stride], block, atol=1e-6)
+        means = features[:-2, r % y.stride, c % x.stride, r // y.stride, c // x.stride] + GREY
+        np.testing.assert_allclose(means, block, atol=1e-6)
     for _ in range(10):
         r, c = RNG.integers(y.count - 7 * y.skip), RNG.integers(x.count - 7 * x.skip)
         rs, cs = np.meshgrid(r + np.arange(8) * y.skip, c + np.arange(8) * x.skip, indexing="ij")
-        blocks = samples[:, cs % x.skip, rs, cs // x.skip].reshape(-1, 2, 4, 2, 4)
+        patch = samples[:, cs % x.skip, rs, cs // x.skip]
+        blocks = patch.reshape(-1, 2, 4, 2, 4)
         rest = np.sqrt(((blocks - blocks.mean(axis=(2, 4), keepdims=True)) ** 2).sum())
-        assert rests[r % y.stride, c % x.stride, r // y.stride, c // x.stride] == pytest.approx(rest, rel=1e-5)
+        left_out, energy = features[-2:, r % y.stride, c % x.stride, r // y.stride, c // x.stride]
+        assert left_out == pytest.approx(rest, rel=1e-5)
+        assert energy == pytest.approx(((patch - GREY) ** 2).sum(), rel=1e-5)
 
 
 # the search

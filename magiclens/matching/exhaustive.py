@@ -23,7 +23,7 @@ class Exhaustive(LatticeOptions, Matcher):
     """Exact search over offsets and axis-aligned maps, pruned by a lower bound; best per bucket; polished."""
 
     type: ClassVar[str] = "exhaustive"
-    version: ClassVar[str] = "2"
+    version: ClassVar[str] = "3"
 
     def match(self, scene: Scene, rng: np.random.Generator, progress: Progress = silent) -> Candidates:
         """Search, polish, sort.
@@ -80,14 +80,12 @@ def search_all(
     """
     from magiclens.matching import rasters
     from magiclens.matching.exhaustive_kernels import search
-    from magiclens.matching.raster_kernels import BLOCK_PIXELS, average_columns
+    from magiclens.matching.raster_kernels import average_columns
     from magiclens.optics.medium import image_optics_of
 
     size, source = scene.lens.source_size_mm, channels.source
     px, window = scene.lens.pitch_mm / options.pixels, options.window_on(scene.lens, pool.buckets)
     grain, optics = seen_grain(scene), image_optics_of(scene)
-    per_side, values = options.pixels // BLOCK_PIXELS, tiles.values
-    blocks = values.reshape(*values.shape[:2], per_side, BLOCK_PIXELS, per_side, BLOCK_PIXELS).mean(axis=(3, 5))
     scales = [s for s in resolved_scales(options.scales, px, channels.source_px_mm) if s * px < size]
     pairs = [(s, s) for s in scales] if options.isotropic else list(itertools.product(scales, repeat=2))
 
@@ -101,7 +99,7 @@ def search_all(
         taps = rasters.footprints(y, sy * px + grain, size, source.shape[1])
         built = rasters.build_raster(averages, *taps, x, y, options.pixels)
         raster = rasters.Raster(*built, sx, sy, x.spacing_mm, y.spacing_mm, x.count, y.count, x.skip, y.skip)
-        search(tiles, blocks, raster, window, not options.isotropic, optics, pool.found)
+        search(tiles, raster, window, not options.isotropic, optics, pool.found)
         progress((done + 1) / len(pairs))
 
 

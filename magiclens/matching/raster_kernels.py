@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from magiclens.contract.artifacts import FloatArray, IntArray
@@ -10,6 +12,11 @@ from magiclens.kernels.threads import in_threads
 
 BLOCK_PIXELS = 4
 """Tile pixels per side of a block whose mean bounds the squared difference from below."""
+GREY = np.float32(0.5)
+"""Display value from which others are counted where their squares are summed, so that sums, and what rounding makes of
+them, stay small."""
+VECTOR = 16
+"""Rows of numbers are summed in whole vectors of so many."""
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -48,19 +55,24 @@ def _display_rows_part(part, columns, first, weights, table, out):
     """Part of the rows of all channels, see ``display_rows``."""
     _, rows, width = columns.shape
     count, taps = weights.shape
+    skip = out.shape[1]
+    line = np.zeros(width, np.float32)
     for cy in range(part.first, part.end):
         c, y = cy // count, cy % count
-        line = np.zeros(width, np.float32)
+        line[:] = 0.0
         for t in range(taps):
             w, r = weights[y, t], min(first[y] + t, rows - 1)
             for x in range(width):
                 line[x] += w * columns[c, r, x]
-        for x in range(width):
-            k = int(line[x] * np.float32(len(table) - 1) + np.float32(0.5))
-            out[c, y, x] = table[min(max(k, 0), len(table) - 1)]
+        for phase in range(skip):
+            for n in range((width - phase + skip - 1) // skip):
+                k = int(line[n * skip + phase] * np.float32(len(table) - 1) + np.float32(0.5))
+                out[c, phase, y, n] = table[min(max(k, 0), len(table) - 1)]
 
 
-def display_rows(columns: FloatArray, first: IntArray, weights: FloatArray, table: FloatArray) -> FloatArray:
+def display_rows(
+    columns: FloatArray, first: IntArray, weights: FloatArray, table: FloatArray, skip: int
+) -> FloatArray:  # fmt: skip
     """Average columns over footprints along y, and turn light into display values.
 
     Args:
@@ -68,101 +80,100 @@ def display_rows(columns: FloatArray, first: IntArray, weights: FloatArray, tabl
         first: (count,) first row of each footprint, see ``rasters.footprints``.
         weights: (count, taps) float32.
         table: display values of evenly spaced linear light from 0 to 1.
+        skip: number of phases into which rows are split.
 
     Returns:
-        (C, count, X) float32 display values.
+        (C, skip, count, X / skip) float32 display values: sample (y, x) at [:, x % skip, y, x // skip].
     """
     channels, _, width = columns.shape
-    out = np.zeros((channels, len(weights), width), np.float32)
+    out = np.zeros((channels, skip, len(weights), -(-width // skip)), np.float32)
     in_threads(_display_rows_part, channels * len(weights), columns, first, weights, table, out)
     return out
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _block_means_part(part, plain, skip_y, skip_x, out):
-    """Part of the rows of all channels, see ``block_means``."""
-    _, rows, width = plain.shape
-    span_y, span_x = (BLOCK_PIXELS - 1) * skip_y, (BLOCK_PIXELS - 1) * skip_x
-    for cy in range(part.first, part.end):
-        c, y = cy // (rows - span_y), cy % (rows - span_y)
-        line = np.zeros(width, np.float32)
-        for k in range(BLOCK_PIXELS):
-            for x in range(width):
-                line[x] += plain[c, y + k * skip_y, x]
-        for x in range(width - span_x):
-            s = np.float32(0.0)
-            for k in range(BLOCK_PIXELS):
-                s += line[x + k * skip_x]
-            out[c, y, x] = s * np.float32(1.0 / (BLOCK_PIXELS * BLOCK_PIXELS))
-
-
-def block_means(plain: FloatArray, skip_y: int, skip_x: int) -> FloatArray:
-    """Means of BLOCK_PIXELS x BLOCK_PIXELS samples from each sample on.
-
-    Args:
-        plain: (C, Y, X) float32.
-        skip_y, skip_x: samples from one of the averaged samples to the next.
-
-    Returns:
-        (C, Y, X) float32; 0 where a block would leave the raster.
-    """
-    channels, rows, _ = plain.shape
-    out = np.zeros_like(plain)
-    whole_rows = max(rows - (BLOCK_PIXELS - 1) * skip_y, 0)
-    in_threads(_block_means_part, channels * whole_rows, plain, skip_y, skip_x, out)
-    return out
+def _blocks_part(part, samples, skip_y, features, sums):
+    """Part of the rows of samples: the means of blocks, and in sums (2, Y, X) the squares around and of these."""
+    channels, skip, _, width = samples.shape
+    _, sy, sx, _, _ = features.shape
+    count, step = width - BLOCK_PIXELS + 1, np.float32(1.0 / BLOCK_PIXELS)
+    tall, apart, mean = np.zeros(width, np.float32), np.zeros(width, np.float32), np.zeros(width * skip, np.float32)
+    rest, energy = np.zeros((skip, width), np.float32), np.zeros((skip, width), np.float32)
+    for y in range(part.first, part.end):
+        rest[:], energy[:] = 0.0, 0.0
+        for c in range(channels):
+            for phase in range(skip):
+                # first along y, then along x: squares around the mean of means add up without differences of large sums
+                for n in range(width):
+                    s = q = np.float32(0.0)
+                    for k in range(BLOCK_PIXELS):
+                        s += samples[c, phase, y + k * skip_y, n]
+                    s *= step
+                    for k in range(BLOCK_PIXELS):
+                        q += (samples[c, phase, y + k * skip_y, n] - s) ** 2
+                    tall[n], apart[n] = s, q
+                for n in range(count):
+                    s = q = np.float32(0.0)
+                    for k in range(BLOCK_PIXELS):
+                        s += tall[n + k]
+                    s *= step
+                    for k in range(BLOCK_PIXELS):
+                        q += apart[n + k] + BLOCK_PIXELS * (tall[n + k] - s) ** 2
+                    s -= GREY
+                    rest[phase, n] += q
+                    energy[phase, n] += np.float32(BLOCK_PIXELS * BLOCK_PIXELS) * s * s
+                    mean[n * skip + phase] = s
+            for phase in range(sx):
+                for n in range((count * skip - phase + sx - 1) // sx):
+                    features[c, y % sy, phase, y // sy, n] = mean[n * sx + phase]
+        for phase in range(skip):
+            for n in range(count):
+                sums[0, y, n * skip + phase], sums[1, y, n * skip + phase] = rest[phase, n], energy[phase, n]
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _variations_part(part, plain, skip_y, skip_x, out):
-    """Part of the rows, see ``block_variations``."""
-    width, span_x = plain.shape[2], (BLOCK_PIXELS - 1) * skip_x
-    sums, squares = np.zeros(width), np.zeros(width)
+def _norms_part(part, sums, steps, per_side, features):
+    """Part of the rows of samples: what blocks' means leave out of the patch that begins there, and its energy."""
+    channels, (_, sy, sx, _, _), width = len(features) - 2, features.shape, sums.shape[2]
+    count = width - (per_side - 1) * steps[1]
+    rest, energy = np.zeros(width, np.float32), np.zeros(width, np.float32)
     for y in range(part.first, part.end):
-        for c in range(len(plain)):
-            sums[:], squares[:] = 0.0, 0.0
-            for k in range(BLOCK_PIXELS):
-                line = plain[c, y + k * skip_y]
-                for x in range(width):
-                    value = np.float64(line[x])
-                    sums[x] += value
-                    squares[x] += value * value
-            for x in range(width - span_x):
-                s = q = 0.0
-                for k in range(BLOCK_PIXELS):
-                    s += sums[x + k * skip_x]
-                    q += squares[x + k * skip_x]
-                out[y, x] += q - s * s * (1.0 / (BLOCK_PIXELS * BLOCK_PIXELS))
+        rest[:], energy[:] = 0.0, 0.0
+        for b in range(per_side * per_side):
+            row, column = y + b // per_side * steps[0], b % per_side * steps[1]
+            for x in range(count):
+                rest[x] += sums[0, row, column + x]
+                energy[x] += sums[1, row, column + x]
+        for x in range(count):
+            energy[x] += rest[x]
+            rest[x] = math.sqrt(rest[x])
+        for phase in range(sx):
+            for n in range((count - phase + sx - 1) // sx):
+                features[channels, y % sy, phase, y // sy, n] = rest[n * sx + phase]
+                features[channels + 1, y % sy, phase, y // sy, n] = energy[n * sx + phase]
 
 
-def block_variations(plain: FloatArray, skip_y: int, skip_x: int) -> FloatArray:
-    """How much BLOCK_PIXELS x BLOCK_PIXELS samples from each sample on vary: squares around their mean, summed.
+def patch_features(samples: FloatArray, skip_y: int, strides: tuple[int, int], pixels: int) -> FloatArray:
+    """What bounds say of patches: the means of blocks, what these leave out, and the sum of squares.
 
     Args:
-        plain: (C, Y, X) float32.
-        skip_y, skip_x: samples from one of the summed samples to the next.
+        samples: (C, skip, Y, X / skip) float32 display values, see ``display_rows``.
+        skip_y: samples between two neighbouring pixels of a patch along y.
+        strides: samples between two neighbouring offsets along y and x.
+        pixels: P, along a patch's side.
 
     Returns:
-        (Y, X) float64, as differences of large sums are taken; 0 where a block would leave the raster.
+        (C + 2, sy, sx, Y / sy, X / sx and some more) float32. For sample (y, x), at [:, y % sy, x % sx, y // sy,
+        x // sx]: for each channel the mean, less GREY, of the block of pixels that begins there; of the patch that
+        begins there, the norm of what its blocks' means leave out, and the sum of (value - GREY)^2. It is meaningless
+        where they would leave the raster. The last VECTOR columns are there to be read with others.
     """
-    out = np.zeros(plain.shape[1:])
-    in_threads(_variations_part, max(plain.shape[1] - (BLOCK_PIXELS - 1) * skip_y, 0), plain, skip_y, skip_x, out)
-    return out
-
-
-@njit(cache=True, nogil=True)
-def _split_part(part, plain, out):
-    """Part of the rows of all channels, see ``split``."""
-    _, rows, width = plain.shape
-    sy, sx = out.shape[1], out.shape[2]
-    for cy in range(part.first, part.end):
-        c, y = cy // rows, cy % rows
-        for phase in range(sx):
-            line, from_ = out[c, y % sy, phase, y // sy], plain[c, y, phase:]
-            for k in range((width - phase + sx - 1) // sx):
-                line[k] = from_[k * sx]
-
-
-def split(plain: FloatArray, out: FloatArray) -> None:
-    """Fill out (C, sy, sx, Y / sy, X / sx) with the samples of plain (C, Y, X), split by phase."""
-    in_threads(_split_part, plain.shape[0] * plain.shape[1], plain, out)
+    channels, skip, rows, width = samples.shape
+    (sy, sx), step = strides, BLOCK_PIXELS * skip_y
+    features = np.zeros((channels + 2, sy, sx, -(-rows // sy), -(-width * skip // sx) + VECTOR), np.float32)
+    sums = np.zeros((2, rows, width * skip), np.float32)
+    in_threads(_blocks_part, max(rows - step + skip_y, 0), samples, skip_y, features, sums)
+    per_side = pixels // BLOCK_PIXELS
+    whole = max(rows - per_side * step + skip_y, 0)
+    in_threads(_norms_part, whole, sums, (step, BLOCK_PIXELS * skip), per_side, features)
+    return features

@@ -7,7 +7,6 @@ look-up, so that the search below is exact, without interpolation. All four sign
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -15,7 +14,7 @@ import numpy as np
 
 from magiclens.contract.artifacts import FloatArray, IntArray
 from magiclens.images import to_display
-from magiclens.matching.raster_kernels import BLOCK_PIXELS, block_means, block_variations, display_rows, split
+from magiclens.matching.raster_kernels import display_rows, patch_features
 
 DISPLAY_TABLE = to_display(np.linspace(0.0, 1.0, 8192)).astype(np.float32)
 """Display values of evenly spaced linear light, for kernels to look up."""
@@ -47,8 +46,7 @@ class Raster(NamedTuple):
 
     Args:
         samples: (C, skip_x, Y, X) float32 display values, see ``build_raster``.
-        means: (C, sy, sx, Y, X) float32 block means, see ``build_raster``.
-        rests: (sy, sx, Y, X) float32, see ``patch_rests``.
+        features: (C + 2, sy, sx, Y, X) float32 of the patches, see ``patch_features``.
         scale_x, scale_y: magnitudes of the map.
         spacing_x, spacing_y: distance between neighbouring samples, mm.
         count_x, count_y: how many samples there are.
@@ -56,8 +54,7 @@ class Raster(NamedTuple):
     """
 
     samples: FloatArray
-    means: FloatArray
-    rests: FloatArray
+    features: FloatArray
     scale_x: float
     scale_y: float
     spacing_x: float
@@ -108,13 +105,12 @@ def footprints(axis: RasterAxis, width_mm: float, size_mm: float, pixels: int) -
 
 def build_raster(
     columns: FloatArray, first: IntArray, weights: FloatArray, x: RasterAxis, y: RasterAxis, pixels: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray]:
     """Average columns over their footprints along y, too, and lay the samples out for the search.
 
     Sample (r_y, r_x) of the plain raster sits at [:, r_x % skip, r_y, r_x // skip], with the skip along x, so that the
-    pixels of a tile's row are neighbours in memory. Its block mean sits at [:, r_y % sy, r_x % sx, r_y // sy,
-    r_x // sx], with the strides, so that neighbouring offsets are. A block mean averages BLOCK_PIXELS x BLOCK_PIXELS
-    tile pixels from that sample on.
+    pixels of a tile's row are neighbours in memory. Its features sit at [:, r_y % sy, r_x % sx, r_y // sy, r_x // sx],
+    with the strides, so that neighbouring offsets are.
 
     Args:
         columns: (C, H, x.count) float32, linear light: the source averaged along x.
@@ -124,34 +120,7 @@ def build_raster(
         pixels: P, along a tile's side.
 
     Returns:
-        Samples (C, x.skip, y.count, X), block means (C, y.stride, x.stride, Y, X), and what these leave out of the
-        patch that begins at a sample (y.stride, x.stride, Y, X), see ``patch_rests``; float32 display values.
+        Samples (C, x.skip, y.count, X), float32 display values, and their ``patch_features``.
     """
-    plain = display_rows(columns, first, weights, DISPLAY_TABLE)
-    samples = np.zeros((len(plain), 1, x.skip, y.count, -(-x.count // x.skip)), np.float32)
-    split(plain, samples)
-    shape = (len(plain), y.stride, x.stride, -(-y.count // y.stride), -(-x.count // x.stride))
-    blocks = np.zeros(shape, np.float32)
-    split(block_means(plain, y.skip, x.skip), blocks)
-    rests = np.zeros((1, *shape[1:]), np.float32)
-    split(patch_rests(plain, y.skip, x.skip, pixels)[None], rests)
-    return samples[:, 0], blocks, rests[0]
-
-
-def patch_rests(plain: FloatArray, skip_y: int, skip_x: int, pixels: int) -> FloatArray:
-    """How much the patch that begins at each sample varies within its blocks: the norm of what block means leave out.
-
-    Args:
-        plain: (C, Y, X) float32 display values.
-        skip_y, skip_x: samples between two neighbouring pixels of a patch.
-        pixels: P, along a patch's side.
-
-    Returns:
-        (Y, X) float32; meaningless where a patch would leave the raster.
-    """
-    variations = block_variations(plain, skip_y, skip_x)
-    total = np.zeros_like(variations)
-    for by, bx in itertools.product(range(0, pixels, BLOCK_PIXELS), repeat=2):
-        y, x = by * skip_y, bx * skip_x
-        total[: len(total) - y, : total.shape[1] - x] += variations[y:, x:]
-    return np.sqrt(np.maximum(total, 0.0)).astype(np.float32)
+    samples = display_rows(columns, first, weights, DISPLAY_TABLE, x.skip)
+    return samples, patch_features(samples, y.skip, (y.stride, x.stride), pixels)
