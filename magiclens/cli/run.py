@@ -12,11 +12,14 @@ import typer
 
 from magiclens.cli.common import (
     AsJson,
+    ExecutorName,
+    ExecutorSettings,
     Overrides,
     Quiet,
     Sandbox,
     SpecFile,
     Traceback,
+    chosen_executor,
     print_note,
     print_result,
     reporting,
@@ -24,6 +27,7 @@ from magiclens.cli.common import (
 from magiclens.contract.errors import InputError
 
 if TYPE_CHECKING:
+    from magiclens.contract.executors import Executor
     from magiclens.plan.compile import Plan
     from magiclens.running.observers import Observer
 
@@ -31,6 +35,7 @@ if TYPE_CHECKING:
 def run_command(
     spec: SpecFile,
     overrides: Overrides,
+    executor_settings: ExecutorSettings,
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="The run folder.", show_default="out/NAME")
     ] = None,
@@ -39,6 +44,7 @@ def run_command(
         typer.Option("--no-cache", help="Do everything; neither keep results nor use what earlier runs have kept."),
     ] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace the run of another spec that is at --out.")] = False,
+    executor: ExecutorName = "serial",
     sandbox: Sandbox = False,
     quiet: Quiet = False,
     as_json: AsJson = False,
@@ -46,7 +52,8 @@ def run_command(
 ) -> None:
     """Design the lens of SPEC and write a run folder: mesh, source, simulated photographs, manifest.
 
-    What an earlier run has kept is not done again, also after that run was killed.
+    What an earlier run has kept is not done again, also after that run was killed. An executor that has other machines,
+    such as dask, spreads the work on facets over them.
     """
     with reporting(traceback):
         from magiclens.cache.folder import keep_nothing
@@ -63,7 +70,8 @@ def run_command(
             keep_nothing()
         # progress goes to standard error, so that standard output holds the result alone
         observer = Observer() if quiet or as_json else terminal_observer(sys.stderr)
-        plan = load_plan(spec, overrides, sandbox=sandbox)
+        worker, registry = chosen_executor(executor, executor_settings)
+        plan = load_plan(spec, overrides, registry, sandbox)
         folder = out or Path("out", plan.spec.name)
         if not force:
             require_same_name(folder, plan.spec.name)
@@ -72,7 +80,7 @@ def run_command(
         if manifest is None:
             if not (quiet or as_json):
                 observer.notice(estimate_text(needs))
-            manifest = _run(plan, spec, overrides, folder, observer)
+            manifest = _run(plan, worker, spec, overrides, folder, observer)
         if not (quiet or as_json):
             print_note(f"it took {perf_counter() - began:.1f} seconds")
         print_result(lambda: _summary(folder, manifest), lambda: {"folder": str(folder), **manifest}, quiet, as_json)
@@ -147,13 +155,24 @@ def _print_forecast(plan: Plan, as_json: bool) -> None:
     print_result(lambda: "\n".join([*map(str, steps), "", end]), lambda: data, as_json=as_json)
 
 
-def _run(plan: Plan, spec: Path, overrides: list[str], folder: Path, observer: Observer) -> dict[str, Any]:
+def _run(
+    plan: Plan, executor: Executor, spec: Path, overrides: list[str], folder: Path, observer: Observer
+) -> dict[str, Any]:
     """Run a plan, and compile ahead what it needs; its manifest."""
     # not imported for a run that is in the cache: numba takes longer to import than such a run takes
+    from magiclens.kernels.spreading import spreading_by
     from magiclens.running.compilation import compiling_ahead
     from magiclens.running.pipeline import write_run
 
-    with compiling_ahead(spec, overrides, observer) as watching:
+    with (
+        executor.spreader() as spreader,
+        spreading_by(spreader),
+        compiling_ahead(spec, overrides, observer) as watching,
+    ):
+        if spreader is None and executor.type != "serial":
+            raise InputError(
+                f"{executor.type!r} makes several lenses side by side, not one; leave it out", "--executor"
+            )
         return write_run(plan, folder, watching)
 
 

@@ -1,5 +1,7 @@
 """The contract of executors, which work through lists of tasks, such as the runs of a sweep, and the built-in ones.
 
+Some have other machines work on parts of one lens, too.
+
 An executor is a pydantic model, as a stage is: its fields are its options, and ``type`` is the name that picks it.
 """
 
@@ -11,6 +13,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from functools import partial
 from queue import SimpleQueue
 from typing import ClassVar, TypeVar
@@ -18,6 +21,7 @@ from typing import ClassVar, TypeVar
 from pydantic import BaseModel, ConfigDict, Field
 
 from magiclens.contract.errors import StageError
+from magiclens.kernels.spreading import Spreader
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
@@ -50,6 +54,11 @@ class Executor(BaseModel, ABC):
             The results in the order of the items, each as soon as it and all those before it are known. An item that
             fails stops no other: the exception takes the place of its result, a StageError if its process has died.
         """
+
+    @contextmanager
+    def spreader(self) -> Iterator[Spreader | None]:
+        """Who does parts of one lens on other machines, until the block ends; None, the default, if nobody does."""
+        yield None
 
 
 class Serial(Executor):

@@ -12,6 +12,7 @@ import numpy as np
 from magiclens.contract.artifacts import Candidates, FloatArray, Scene
 from magiclens.contract.stages import Matcher, Progress, silent
 from magiclens.kernels.resuming import resumable
+from magiclens.kernels.spreading import shares, spread
 from magiclens.matching.channels import Channels, stack_channels
 from magiclens.matching.grain import seen_grain
 from magiclens.matching.options import LatticeOptions
@@ -31,7 +32,18 @@ class Exhaustive(LatticeOptions, Matcher):
         Raises:
             InputError: some facet reaches no patch at all, or views do not share an eye.
         """
-        return self.match_rows(scene, 0, scene.lens.facets, progress)
+        blocks = shares(scene.lens.facets)
+        if len(blocks) == 1:
+            return self.match_rows(scene, 0, scene.lens.facets, progress)
+        found = []
+        for done, block in spread(_match_rows, (self, scene), blocks):
+            found.append(block)
+            progress((done + 1) / len(blocks))
+        return Candidates(
+            np.concatenate([block.offsets_mm for block in found]),
+            np.concatenate([block.maps for block in found]),
+            np.concatenate([block.errors for block in found]),
+        )
 
     def match_rows(self, scene: Scene, first: int, last: int, progress: Progress = silent) -> Candidates:
         """What ``match`` finds for the facets in rows ``first`` to ``last - 1``.
@@ -63,6 +75,11 @@ class Exhaustive(LatticeOptions, Matcher):
         pool.sort()
         finish(pool, scene, channels, rows, self, self.isotropic)
         return pool.candidates(lens, self.candidates)
+
+
+def _match_rows(given: tuple[Exhaustive, Scene], rows: range) -> Candidates:
+    matcher, scene = given
+    return matcher.match_rows(scene, rows.start, rows.stop)
 
 
 def search_all(

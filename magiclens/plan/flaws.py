@@ -35,7 +35,7 @@ def scenario_flaw(cls: Any) -> str | None:
 
 def executor_flaw(cls: Any) -> str | None:
     """What keeps a class from being an executor."""
-    return _class_flaw(cls) or _lacks(cls, "map")
+    return _class_flaw(cls) or _lacks(cls, "map", "spreader")
 
 
 def analysis_flaw(analysis: Any) -> str | None:

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import time
 
+import pytest
+
 from magiclens.contract.executors import Executor
+from magiclens.kernels.spreading import shares, spread, spreading_by
 
 
 class ExecutorContract:
@@ -37,6 +40,17 @@ class ExecutorContract:
         results.close()  # type: ignore[attr-defined]
         assert list(self.executor.map(_square_later_when_small, [3])) == [9]
 
+    def test_what_it_spreads_comes_in_order(self) -> None:
+        """If it has other machines for parts of a lens: every index is done once, and what all items share is there."""
+        with self.executor.spreader() as spreader, spreading_by(spreader):
+            if spreader is None:
+                pytest.skip("it spreads nothing")
+            found = list(spread(_scaled, 10, shares(5, finer=3)))
+            with pytest.raises(ZeroDivisionError):
+                list(spread(_divided, 1, [1, 0]))
+        assert [number for number, _ in found] == list(range(len(found)))
+        assert [index for _, block in found for index in block] == [0, 10, 20, 30, 40]
+
 
 # functions of the module, not of a test: executors may send them to other processes
 def _square_later_when_small(number: int) -> int:
@@ -46,3 +60,11 @@ def _square_later_when_small(number: int) -> int:
 
 def _inverse(number: float) -> float:
     return 1 / number
+
+
+def _scaled(factor: int, block: range) -> list[int]:
+    return [factor * index for index in block]
+
+
+def _divided(number: int, by: int) -> float:
+    return number / by

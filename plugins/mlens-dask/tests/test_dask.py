@@ -52,7 +52,7 @@ def scheduler() -> Iterator[str]:
 @pytest.fixture
 def idle(monkeypatch: pytest.MonkeyPatch) -> Iterator[LocalCluster]:
     """A scheduler without workers, which the user is told of at once."""
-    monkeypatch.setattr("mlens_dask.executor.PATIENCE_S", 0.1)
+    monkeypatch.setattr("mlens_dask.cluster.PATIENCE_S", 0.1)
     with LocalCluster(n_workers=0, threads_per_worker=1, dashboard_address="127.0.0.1:0") as cluster:
         yield cluster
 

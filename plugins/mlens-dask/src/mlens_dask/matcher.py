@@ -1,16 +1,14 @@
-"""The exhaustive matcher with its facets spread over a cluster, in blocks of rows."""
+"""The exhaustive matcher with its facets spread over a cluster, which a spec names."""
 
 from __future__ import annotations
 
-from functools import partial
-from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
 from pydantic import Field
 
-from magiclens import Candidates, Exhaustive, Progress, Scene, raising, silent
-from mlens_dask.executor import Dask, mapped
+from magiclens import Candidates, Exhaustive, Progress, Scene, silent, spreading_by
+from mlens_dask.executor import Dask
 
 
 class Blocks(Exhaustive):
@@ -32,18 +30,8 @@ class Blocks(Exhaustive):
         # a worker that waits for other workers would keep its own task's turn
         if _on_a_worker():
             return super().match(scene, rng, progress)
-        with self.cluster.client() as client:
-            rows = self._rows(scene.lens.facets, len(client.nthreads()))
-            found = []
-            for block in raising(mapped(client, partial(_match, self, scene), rows, self.cluster.wait_s)):
-                found.append(block)
-                progress(len(found) / len(rows))
-        return _joined(found)
-
-    def _rows(self, facets: int, workers: int) -> list[tuple[int, int]]:
-        """The first row and the row after the last of each block; all blocks have about the same number of rows."""
-        edges = np.linspace(0, facets, min(self.blocks or max(workers, 1), facets) + 1).round().astype(int).tolist()
-        return list(pairwise(edges))
+        with self.cluster.cluster(self.blocks) as cluster, spreading_by(cluster):
+            return super().match(scene, rng, progress)
 
 
 def _on_a_worker() -> bool:
@@ -54,16 +42,3 @@ def _on_a_worker() -> bool:
     except ValueError:
         return False
     return True
-
-
-def _match(options: Blocks, scene: Scene, rows: tuple[int, int]) -> Candidates:
-    return options.match_rows(scene, *rows)
-
-
-def _joined(blocks: list[Candidates]) -> Candidates:
-    """The candidates of all blocks, which are given from top to bottom."""
-    return Candidates(
-        np.concatenate([block.offsets_mm for block in blocks]),
-        np.concatenate([block.maps for block in blocks]),
-        np.concatenate([block.errors for block in blocks]),
-    )

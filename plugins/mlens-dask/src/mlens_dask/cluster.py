@@ -1,0 +1,253 @@
+"""Has functions called by the workers of a Dask cluster, and called again if workers or the scheduler die meanwhile."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from magiclens import InputError, StageError, raising
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+_Given = TypeVar("_Given")
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
+
+_TIMEOUT = "10s"
+"""Longest time that a scheduler may take to answer."""
+PATIENCE_S = 5.0
+"""Seconds without any worker after which the user is told how to start one, and between two looks for workers."""
+_MOST_DEATHS = 4
+"""So many workers may die while they have an item; it is tried once more then, alone."""
+
+_one_at_a_time = threading.Lock()
+"""Lock of the one item that a worker's process may work on: compiled code and matplotlib are not made for several."""
+
+
+class Cluster:
+    """A scheduler and its workers.
+
+    What functions are given and what they return goes straight from this process to workers and back: the scheduler
+    hears of sizes and places alone. What is lost with a worker or with the scheduler is sent again.
+    """
+
+    def __init__(self, address: str, wait_s: float, blocks: int | None = None):
+        """Connect.
+
+        Args:
+            address: Of the scheduler.
+            wait_s: Longest time without any worker, or without a scheduler that was there.
+            blocks: Into how many blocks a loop is cut; by default as many as there are workers.
+
+        Raises:
+            OSError: No scheduler answers.
+            ValueError: That is no address.
+        """
+        self._address, self._wait_s, self._blocks = address, wait_s, blocks
+        self._client = self._connected()
+        self._sent: tuple[Any, Future[Any]] | None = None
+        self._scheduler = self._named()
+
+    def close(self) -> None:
+        """Disconnect."""
+        self._client.close()
+
+    @property
+    def blocks(self) -> int:
+        """See ``magiclens.Spreader``. Raises InputError if no worker comes."""
+        while not self._blocks:
+            try:
+                self._wait_for_a_worker()
+                return len(self._client.nthreads()) or 1
+            except OSError:
+                self._reconnect()
+        return self._blocks
+
+    def map(
+        self, function: Callable[[_Given, _Item], _Result], given: _Given, items: Sequence[_Item]
+    ) -> Iterator[_Result]:
+        """See ``magiclens.Spreader``."""
+        return raising(self.results(function, given, items))
+
+    def results(
+        self, function: Callable[[_Given, _Item], _Result], given: _Given, items: Iterable[_Item]
+    ) -> Iterator[_Result | Exception]:
+        """What a function returns or raises for every item, in their order.
+
+        An item that several workers have died with may not have killed them. It is tried once more when all others are
+        done, and given up if that kills another worker.
+
+        Args:
+            function: Of a module, so that workers find it.
+            given: Its first argument, the same for all items. All workers get it, once in a row of calls with it.
+            items: Its second arguments; one worker gets each.
+
+        Raises:
+            InputError: There was no worker, or no scheduler, for too long.
+        """
+        loop = _Loop(function, given, dict(enumerate(items)))
+        for number in range(len(loop.left)):
+            while number not in loop.found:
+                self._go_on(loop)
+            yield loop.found.pop(number)
+
+    def _go_on(self, loop: _Loop) -> None:
+        """Submit what is due, and wait until something ends, at most for ``PATIENCE_S``."""
+        from distributed import CancelledError, KilledWorker, wait
+
+        try:
+            self._submit(loop, loop.due())
+            self._wait_for_a_worker()
+            with suppress(TimeoutError, CancelledError):
+                wait(list(loop.futures), PATIENCE_S, "FIRST_COMPLETED")
+            for future in [future for future in loop.futures if future.done()]:
+                number = loop.futures.pop(future)
+                error = future.exception() if future.status == "error" else None
+                if isinstance(error, KilledWorker):
+                    loop.has_died(number, _MOST_DEATHS)
+                elif error is not None:
+                    loop.has_ended(number, error)
+                else:
+                    self._take(loop, number, future)
+        except OSError:
+            loop.futures.clear()
+            self._reconnect()
+
+    def _take(self, loop: _Loop, number: int, future: Future[Any]) -> None:
+        """Get the result of an item, or find out why there is none.
+
+        Raises:
+            OSError: The scheduler has died.
+        """
+        from distributed import CancelledError
+
+        try:
+            loop.has_ended(number, future.result(self._wait_s))
+        except CancelledError:  # it was with a worker that has died, or known to a scheduler that has
+            self._sent = None
+            if self._named() != self._scheduler:
+                raise ConnectionError from None
+            loop.has_died(number, 1)
+
+    def _submit(self, loop: _Loop, numbers: list[int]) -> None:
+        if not numbers:
+            return
+        self._wait_for_a_worker()
+        given = self._everywhere(loop.given)
+        items = self._client.scatter([loop.left[number] for number in numbers], hash=False)
+        for number, item in zip(numbers, items, strict=True):
+            # not pure: Dask would work on equal items once
+            future = self._client.submit(_call, loop.function, given, item, pure=False, priority=-number)
+            loop.futures[future] = number
+
+    def _everywhere(self, given: Any) -> Future[Any]:
+        """An object on all workers. The last one stays there, as several loops in a row are about the same pictures."""
+        if self._sent is None or self._sent[0] is not given:
+            self._sent = given, self._client.scatter([given], hash=False, broadcast=True)[0]
+        return self._sent[1]
+
+    def _connected(self) -> Client:
+        from distributed import Client
+
+        # by default, the scheduler would pass on what is sent and found
+        return Client(self._address, timeout=_TIMEOUT, direct_to_workers=True)
+
+    def _named(self) -> object:
+        """The name of the scheduler, which another one does not have; None without a connection."""
+        return self._client.scheduler_info().get("id")
+
+    def _reconnect(self) -> None:
+        """Connect again.
+
+        Raises:
+            InputError: No scheduler has answered for too long.
+        """
+        self._sent = None
+        began = time.monotonic()
+        _say(f"{self._address} does not answer; what was under way begins again when there is a scheduler")
+        while self._client.status == "connecting":  # it tries by itself for some seconds, and closes badly meanwhile
+            time.sleep(0.1)
+        self._client.close()
+        while True:
+            try:
+                self._client = self._connected()
+            except OSError:
+                if time.monotonic() - began > self._wait_s:
+                    raise InputError(
+                        f"no scheduler at {self._address} for {self._wait_s:g} seconds", "wait_s"
+                    ) from None
+            else:
+                self._scheduler = self._named()
+                return
+
+    def _wait_for_a_worker(self) -> None:
+        """Wait until there is a worker; after some seconds the user is told how to start one.
+
+        Raises:
+            InputError: None has come in ``wait_s`` seconds.
+        """
+        began, told = time.monotonic(), False
+        while not self._client.nthreads():
+            waited = time.monotonic() - began
+            advice = f"start one on any machine: dask worker {self._address} --nthreads 1"
+            if waited > self._wait_s:
+                raise InputError(f"no worker of {self._address} for {self._wait_s:g} seconds; {advice}", "wait_s")
+            if waited > PATIENCE_S and not told:
+                _say(f"{self._address} has no worker; {advice}")
+                told = True
+            time.sleep(0.1)
+
+
+@dataclass
+class _Loop:
+    """Items that workers go through.
+
+    Attributes:
+        function: What is called with ``given`` and each item.
+        given: The same for all items.
+        left: Items that have not ended, by number.
+        found: Results of those that have, or exceptions, until they are asked for.
+        futures: Items that workers have, or that wait for one.
+        deaths: How many workers have died with an item, or more than so many while it waited.
+    """
+
+    function: Callable[[Any, Any], Any]
+    given: Any
+    left: dict[int, Any]
+    found: dict[int, Any] = field(default_factory=dict)
+    futures: dict[Future[Any], int] = field(default_factory=dict)
+    deaths: Counter[int] = field(default_factory=Counter)
+
+    def due(self) -> list[int]:
+        """Numbers of the items to submit: all, but for doubtful ones, which wait until they can be alone."""
+        submitted = set(self.futures.values())
+        waiting = [number for number in self.left if number not in submitted]
+        harmless = [number for number in waiting if self.deaths[number] < _MOST_DEATHS]
+        return harmless or ([] if submitted else waiting[:1])
+
+    def has_ended(self, number: int, outcome: Any) -> None:
+        """An item has a result, or has raised an exception."""
+        self.found[number] = outcome
+        del self.left[number]
+
+    def has_died(self, number: int, deaths: int) -> None:
+        """So many workers have died with an item. One that was alone is given up."""
+        if self.deaths[number] >= _MOST_DEATHS:
+            self.has_ended(number, StageError("worker after worker died of this"))
+        self.deaths[number] += deaths
+
+
+def _call(function: Callable[[_Given, _Item], _Result], given: _Given, item: _Item) -> _Result:
+    with _one_at_a_time:
+        return function(given, item)
+
+
+def _say(text: str) -> None:
+    print(f"note: {text}", file=sys.stderr, flush=True)

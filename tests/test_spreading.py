@@ -1,0 +1,117 @@
+"""Loops that an executor may spread over other machines: in order, each item once, and the same lens."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from magiclens.cli import app
+from magiclens.contract.artifacts import Scene
+from magiclens.kernels.resuming import going_through_loops_by
+from magiclens.kernels.spreading import shares, spread, spreading_by
+from magiclens.matching.exhaustive import Exhaustive
+from magiclens.plan.compile import load_plan
+
+SPEC = """\
+scenario: {type: single, source: {type: circles, seed: 7, size: 12mm}, target: {art: heart}}
+lens: {size: 12mm, facets: 5, microfacets: 4, thickness: 15mm, relief: 4mm}
+"""
+
+
+class Others:
+    """Other machines, in this process; they note what they are given."""
+
+    def __init__(self, blocks: int):
+        self.blocks = blocks
+        self.items: list[Any] = []
+
+    def map(self, function: Callable[[Any, Any], Any], given: Any, items: Sequence[Any]) -> Iterator[Any]:
+        self.items += items
+        return iter([function(given, item) for item in items])
+
+
+@pytest.fixture
+def spec(tmp_path: Path) -> Path:
+    path = tmp_path / "tiny.yaml"
+    path.write_text(SPEC, encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def scene(spec: Path) -> Scene:
+    return load_plan(spec).scene()
+
+
+def raised(factor: int, item: int) -> int:
+    return factor * item
+
+
+def test_without_an_executor_it_is_an_ordinary_loop() -> None:
+    begun: list[int] = []
+    results = spread(lambda _, item: begun.append(item), None, [1, 2])
+    next(results)
+    assert begun == [1]
+    assert shares(7) == [range(7)]
+
+
+def test_other_machines_are_given_all_items_at_once() -> None:
+    others = Others(2)
+    with spreading_by(others):
+        assert list(spread(raised, 10, [1, 2, 3])) == [(0, 10), (1, 20), (2, 30)]
+    assert others.items == [1, 2, 3]
+    assert list(spread(raised, 10, [4])) == [(0, 40)]
+    assert others.items == [1, 2, 3]
+
+
+def test_what_was_done_before_a_kill_is_not_spread_again() -> None:
+    others, state = Others(2), np.zeros(3)
+    with spreading_by(others), going_through_loops_by(lambda count, _: iter(range(1, count))):
+        assert list(spread(raised, 10, [1, 2, 3], state)) == [(1, 20), (2, 30)]
+    assert others.items == [2, 3]
+
+
+@pytest.mark.parametrize(
+    ("count", "workers", "finer", "most", "sizes"),
+    [
+        (7, 2, 1, None, [3, 4]),
+        (7, 2, 2, None, [1, 2, 2, 2]),
+        (2, 4, 1, None, [1, 1]),
+        (0, 4, 1, None, []),
+        (8, None, 4, None, [8]),
+        (8, None, 4, 3, [2, 3, 3]),
+        (8, 1, 1, 2, [2, 2, 2, 2]),
+        (0, None, 1, 5, []),
+    ],
+)
+def test_shares_are_even_and_cover_everything(
+    count: int, workers: int | None, finer: int, most: int | None, sizes: list[int]
+) -> None:
+    with spreading_by(Others(workers) if workers else None):
+        found = shares(count, finer, most)
+    assert [len(share) for share in found] == sizes
+    assert [index for share in found for index in share] == list(range(count))
+
+
+@pytest.mark.parametrize("blocks", [2, 3, 99])
+def test_facets_that_others_match_get_the_same_candidates(scene: Scene, blocks: int) -> None:
+    matcher, done = Exhaustive(window="10%", scales=(0.3, 0.8), candidates=9), list[float]()
+    alone = matcher.match(scene, np.random.default_rng(0))
+    others = Others(blocks)
+    with spreading_by(others):
+        found = matcher.match(scene, np.random.default_rng(0), done.append)
+    assert len(others.items) == min(blocks, 5)
+    assert done == sorted(done)
+    assert done[-1] == 1
+    for name in ("offsets_mm", "maps", "errors"):
+        assert getattr(found, name).tobytes() == getattr(alone, name).tobytes()
+
+
+def test_an_executor_without_other_machines_is_refused_for_one_lens(spec: Path, tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["run", str(spec), "--executor", "processes", "--out", str(tmp_path / "out")])
+    assert done.exit_code == 2
+    assert "error: --executor: 'processes' makes several lenses side by side, not one; leave it out" in done.stderr
