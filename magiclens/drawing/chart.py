@@ -11,7 +11,7 @@ import numpy as np
 
 from magiclens.contract.artifacts import FloatArray
 from magiclens.drawing.scales import Pixels, round_ticks
-from magiclens.drawing.tiles import MUTED_COLOUR, PAPER_COLOUR, RULE_COLOUR, TEXT_COLOUR
+from magiclens.drawing.tiles import MUTED_COLOUR, PAPER_COLOUR, RULE_COLOUR, TEXT_COLOUR, font_of
 
 if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
@@ -135,6 +135,4 @@ class Chart:
 
 def _write(draw: ImageDraw, at: tuple[float, float], text: str, colour: str, anchor: str) -> None:
     """Write a line of text; ``anchor`` is which point of it is at ``at``, as Pillow names it."""
-    from PIL import ImageFont
-
-    draw.text(at, text, fill=colour, font=ImageFont.load_default(_LETTER * _OVERSAMPLING), anchor=anchor)
+    draw.text(at, text, fill=colour, font=font_of(_LETTER * _OVERSAMPLING), anchor=anchor)

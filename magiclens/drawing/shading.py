@@ -70,7 +70,10 @@ def shade_slopes(slopes: FloatArray, shadows: FloatArray | float = 0.0) -> Float
     up = 1 / np.sqrt(1 + dx**2 + dy**2)
     lamp = np.clip((_LAMP_DIRECTION[2] - _LAMP_DIRECTION[0] * dx - _LAMP_DIRECTION[1] * dy) * up, 0, 1)
     lamp = lamp * (1 - 0.8 * np.float32(shadows))
-    gloss = np.clip((_HALFWAY[2] - _HALFWAY[0] * dx - _HALFWAY[1] * dy) * up, 0, 1) ** 48 * (1 - np.float32(shadows))
+    gloss = np.clip((_HALFWAY[2] - _HALFWAY[0] * dx - _HALFWAY[1] * dy) * up, 0, 1)
+    for _ in range(4):
+        gloss *= gloss
+    gloss = gloss**3 * (1 - np.float32(shadows))  # to the power of 48, by far faster than NumPy's own
     # surfaces that face the top of the picture get more light from the sky
     sky = 1 - 0.8 * dy * up
     light = sky[..., None] * _SKY_COLOUR + lamp[..., None] * _LAMP_COLOUR + 0.35 * gloss[..., None]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,6 +19,7 @@ from magiclens.images.resample import resize
 if TYPE_CHECKING:
     from PIL.Image import Image
     from PIL.ImageDraw import ImageDraw
+    from PIL.ImageFont import FreeTypeFont
 
 PAPER_COLOUR = "#ffffff"
 TEXT_COLOUR = "#1c2128"
@@ -117,6 +119,14 @@ def render_rows(rows: Sequence[Sequence[Tile]]) -> Image:
     return image
 
 
+@cache
+def font_of(size: int) -> FreeTypeFont:
+    """The letters of all drawings, of a size in pixels."""
+    from PIL import ImageFont
+
+    return ImageFont.load_default(size)  # type: ignore[return-value]  # bitmaps are for Pillow without FreeType
+
+
 def picture_boxes(rows: Sequence[Sequence[Tile]]) -> list[Box]:
     """Where pictures and colour bars are in what ``render_rows`` draws; all else, charts too, is drawn on paper."""
     found: list[Box] = []
@@ -168,11 +178,9 @@ def _draw_tile(image: Image, draw: ImageDraw, tile: Tile, corner: tuple[int, int
 
 def _write(draw: ImageDraw, at: tuple[int, int], text: str, colour: str, width: int) -> None:
     """Write one line whose middle is at ``at``; it is made smaller to fit into ``width``, and cut if that fails."""
-    from PIL import ImageFont
-
     line = " ".join(text.split())
-    fonts = (ImageFont.load_default(size) for size in range(_LETTER, _SMALLEST_LETTER, -1))
-    font = next((font for font in fonts if font.getlength(line) <= width), ImageFont.load_default(_SMALLEST_LETTER))
+    fonts = (font_of(size) for size in range(_LETTER, _SMALLEST_LETTER, -1))
+    font = next((font for font in fonts if font.getlength(line) <= width), font_of(_SMALLEST_LETTER))
     fits = next(k for k in range(len(line), -1, -1) if font.getlength(line[:k]) <= width)
     draw.text(at, line[:fits], fill=colour, font=font, anchor="lm")
 

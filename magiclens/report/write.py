@@ -20,7 +20,7 @@ def write_figure(figure: Figure, folder: Path) -> str:
     """Write ``figures/<name>.png`` into a run folder; the figure as a block of the page."""
     (folder / "figures").mkdir(exist_ok=True)
     path = folder / "figures" / f"{figure.name}.png"
-    render_rows(figure.rows).save(path, "PNG", compress_level=4, pnginfo=_words(figure))
+    render_rows(figure.rows).save(path, "PNG", compress_level=3, pnginfo=_words(figure))
     return figure_block(figure)
 
 
