@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from magiclens.contract.artifacts import FloatArray, IntArray
 from magiclens.exporting.digits_kernels import read_rows, write_rows
+from magiclens.kernels.threads import side_by_side_ahead
 
 _WIDEST = 21
 """Number of characters of the longest number: a sign, 19 digits, a point."""
@@ -17,18 +18,21 @@ _CHUNK = 1 << 16
 
 
 def rounded_rows(numbers: FloatArray | IntArray, around: Sequence[bytes], decimals: int = 0) -> Iterator[bytes]:
-    """Rows of numbers as text, in pieces.
+    """Rows of numbers as text, in pieces that are made in other threads while the caller packs or writes them.
 
     Args:
         numbers: (rows, K) what to write.
         around: K + 1 texts, before, between and after the numbers of each row.
         decimals: digits after the point, at most, to which numbers are rounded.
 
-    Yields:
-        The text of some rows, ASCII.
+    Returns:
+        The text of some rows after the other, ASCII.
     """
-    for k in range(0, len(numbers), _CHUNK):
-        yield text_rows(np.rint(numbers[k : k + _CHUNK] * 10**decimals).astype(np.int64), around, decimals)
+
+    def text(first: int) -> bytes:
+        return text_rows(np.rint(numbers[first : first + _CHUNK] * 10**decimals).astype(np.int64), around, decimals)
+
+    return side_by_side_ahead(text, range(0, len(numbers), _CHUNK))
 
 
 def text_rows(numbers: IntArray, around: Sequence[bytes], decimals: int = 0) -> bytes:

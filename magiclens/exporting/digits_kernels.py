@@ -10,7 +10,7 @@ _EXACT = 1 << 53
 """Up to this integer, and divided by 10**22 at most, a number is the float64 that is closest to its text."""
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def write_rows(numbers, glue, ends, decimals, out):
     """Write rows of numbers with text around them; returns how many characters were written.
 
