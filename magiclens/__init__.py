@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from magiclens.geometry.facets import central_slopes
     from magiclens.images import Score, art, read_image, resize, score, to_display, to_linear, write_png
     from magiclens.images.movies import read_frames
-    from magiclens.kernels.spreading import Spreader, shares, spread, spreading_by
+    from magiclens.kernels.spreading import Spreader, is_spread, shares, spread, spreading_by
     from magiclens.matching.exhaustive import Exhaustive
     from magiclens.matching.options import MatchingOptions
     from magiclens.matching.polishing import polished
@@ -72,7 +72,7 @@ _HOMES = {
     "geometry.facets": "central_slopes",
     "images": "Score art read_image resize score to_display to_linear write_png",
     "images.movies": "read_frames",
-    "kernels.spreading": "Spreader shares spread spreading_by",
+    "kernels.spreading": "Spreader is_spread shares spread spreading_by",
     "matching.exhaustive": "Exhaustive",
     "matching.options": "MatchingOptions",
     "matching.polishing": "polished",
@@ -145,6 +145,7 @@ __all__ = [
     "art",
     "central_slopes",
     "hookimpl",
+    "is_spread",
     "load_plan",
     "load_spec",
     "open_run",

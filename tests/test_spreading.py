@@ -97,7 +97,7 @@ def test_shares_are_even_and_cover_everything(
     assert [index for share in found for index in share] == list(range(count))
 
 
-@pytest.mark.parametrize("blocks", [2, 3, 99])
+@pytest.mark.parametrize("blocks", [1, 2, 3, 99])
 def test_facets_that_others_match_get_the_same_candidates(scene: Scene, blocks: int) -> None:
     matcher, done = Exhaustive(window="10%", scales=(0.3, 0.8), candidates=9), list[float]()
     alone = matcher.match(scene, np.random.default_rng(0))

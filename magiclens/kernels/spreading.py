@@ -65,6 +65,11 @@ def spread(
         yield number, next(results)
 
 
+def is_spread() -> bool:
+    """Whether others do what this thread's stage spreads, so that it cannot tell how far an item is."""
+    return _spreader.get() is not None
+
+
 def shares(count: int, finer: int = 1, most: int | None = None) -> list[range]:
     """Indices below a count, such as those of rows of facets, in blocks of about the same size to be ``spread``.
 

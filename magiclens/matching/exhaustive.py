@@ -12,7 +12,7 @@ import numpy as np
 from magiclens.contract.artifacts import Candidates, FloatArray, Scene
 from magiclens.contract.stages import Matcher, Progress, silent
 from magiclens.kernels.resuming import resumable
-from magiclens.kernels.spreading import shares, spread
+from magiclens.kernels.spreading import is_spread, shares, spread
 from magiclens.matching.channels import Channels, stack_channels
 from magiclens.matching.grain import seen_grain
 from magiclens.matching.options import LatticeOptions
@@ -32,10 +32,9 @@ class Exhaustive(LatticeOptions, Matcher):
         Raises:
             InputError: some facet reaches no patch at all, or views do not share an eye.
         """
-        blocks = shares(scene.lens.facets)
-        if len(blocks) == 1:
+        if not is_spread():
             return self.match_rows(scene, 0, scene.lens.facets, progress)
-        found = []
+        blocks, found = shares(scene.lens.facets), []
         for done, block in spread(_match_rows, (self, scene), blocks):
             found.append(block)
             progress((done + 1) / len(blocks))

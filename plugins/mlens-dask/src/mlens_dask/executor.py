@@ -29,7 +29,7 @@ class Dask(Executor):
     )
     workers: int = Field(2, ge=1, le=256, description="worker processes to start if there is no address")
     threads: int = Field(1, ge=1, le=256, description="threads of compiled code in each process that is started")
-    wait_s: float = Field(600, gt=0, le=1e7, description="longest time without any worker, in seconds")
+    wait_s: float = Field(600, gt=0, le=1e7, description="longest time without any worker or scheduler, in seconds")
 
     def map(self, function: Callable[[_Item], _Result], items: Iterable[_Item]) -> Iterator[_Result | Exception]:
         """See ``magiclens.Executor``. Items of a worker that dies are given to others."""
