@@ -34,7 +34,7 @@ def test_everything_that_is_needed_is_here(found: dict[str, Diagnosis]) -> None:
 
 
 def test_every_requirement_is_looked_for_and_no_extra(found: dict[str, Diagnosis]) -> None:
-    assert {"numba", "mitsuba", "pymeshlab", "ruamel.yaml", "scikit-image"} <= set(found)
+    assert {"numba", "mitsuba", "pymeshlab", "ruamel.yaml", "scipy"} <= set(found)
     assert "pytest" not in found
 
 

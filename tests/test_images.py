@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from skimage.metrics import structural_similarity as reference_similarity
 
 from magiclens.contract.artifacts import FloatArray
 from magiclens.contract.errors import InputError
@@ -29,6 +30,7 @@ from magiclens.images import (
 )
 from magiclens.images.likeness import likeness, resolved_px, word_for
 from magiclens.images.resample import pixels_touching
+from magiclens.images.score_kernels import structural_similarity
 
 
 def noise(*shape: int) -> FloatArray:
@@ -239,6 +241,15 @@ def test_a_picture_scores_full_marks_against_itself() -> None:
     assert result.psnr_db == pytest.approx(120)
     assert result.ssim == pytest.approx(1)
     assert result.gain == pytest.approx(1)
+
+
+def test_structural_similarity_is_that_of_scikit_image() -> None:
+    rng = np.random.default_rng(0)
+    wanted = rng.random((40, 57))
+    seen = np.clip(wanted + rng.normal(0, 0.2, wanted.shape), 0, 1)
+    seen[:15] = wanted[:12] = 1.0
+    expected = reference_similarity(seen, wanted, data_range=1.0)
+    assert structural_similarity(seen, wanted) == pytest.approx(expected, abs=1e-12)
 
 
 def test_exposure_does_not_count() -> None:

@@ -33,8 +33,10 @@ def score(render_linear: FloatArray, target_linear: FloatArray, gain: float | No
         target_linear: (H, W, C) linear light, resized to the render. The two may have 1 and 3 channels.
         gain: Exposure by which the render is multiplied; by default the one that fits the target best (least squares).
     """
+    from magiclens.images.score_kernels import structural_similarity
+
     seen, wanted, gain = _exposed(render_linear, target_linear, gain)
-    return Score(psnr_db(seen, wanted), _ssim(seen.mean(-1), wanted.mean(-1)), gain)
+    return Score(psnr_db(seen, wanted), structural_similarity(seen.mean(-1), wanted.mean(-1)), gain)
 
 
 def best_exposure_psnr_db(render_linear: FloatArray, target_linear: FloatArray) -> float:
@@ -57,10 +59,3 @@ def _exposed(
 def psnr_db(seen: FloatArray, wanted: FloatArray) -> float:
     """Peak signal-to-noise ratio, dB, of two arrays of display values 0..1 of the same shape; at most 120."""
     return float(-10 * np.log10(max(float(np.mean((seen - wanted) ** 2)), 1e-12)))
-
-
-def _ssim(seen: FloatArray, wanted: FloatArray) -> float:
-    """Structural similarity of two (R, R) images of display values 0..1."""
-    from skimage.metrics import structural_similarity
-
-    return float(structural_similarity(seen, wanted, data_range=1.0))  # type: ignore[no-untyped-call]
