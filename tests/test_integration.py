@@ -316,8 +316,8 @@ def test_changes_that_grow_are_halved_until_the_heights_rest() -> None:
     np.testing.assert_allclose(built.heights_mm, wanted, atol=1e-5)
 
 
-@pytest.mark.parametrize(("placement", "times"), [("light", 3), ("steps", 0)])
-def test_light_is_asked_for_in_the_first_three_rounds_only(
+@pytest.mark.parametrize(("placement", "times"), [("light", 1), ("steps", 0)])
+def test_light_is_asked_for_in_the_first_round_only(
     placement: str, times: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calls: list[FloatArray] = []

@@ -17,15 +17,12 @@ from magiclens.integration.limits import limit_steps
 from magiclens.integration.surface_metrics import surface_metrics
 from magiclens.processes.linear import LinearProcess
 
-_SETTLING = 3
-"""Rounds after which `light` placement keeps its levels: its energy has kinks, at which it would oscillate."""
-
 
 class Poisson(Integrator):
     """Facets become smooth lenslets (one small Poisson problem each), then are raised or lowered until edges meet."""
 
     type: ClassVar[str] = "poisson"
-    version: ClassVar[str] = "4"
+    version: ClassVar[str] = "5"
 
     placement: Literal["light", "steps"] = Field(
         "light", description="facets' heights: least light lost at walls, or least squared steps (4.5)"
@@ -73,9 +70,10 @@ class Poisson(Integrator):
             nonlocal levels, screening
             shapes = lenslets(rows, columns).reshape(n, n, k, k)
             check_relief(shapes, relief)  # a lenslet that is taller than the relief fits at no level
-            if self.placement == "steps" or done < _SETTLING:
+            if self.placement == "steps" or done == 0:
                 levels, screening = levels_of_least_steps(shapes, screening, relief)
-            if self.placement == "light" and done < _SETTLING:
+            # once: later rounds would oscillate at the kinks of its energy
+            if self.placement == "light" and done == 0:
                 levels = levels_of_least_lost_light(scene, shapes, levels, self.step_weight)
             return shapes + within_relief(shapes, levels, relief)[:, :, None, None]
 
