@@ -10,7 +10,7 @@ from benchmarks.comparison import Comparison, require
 from benchmarks.lenses import lenslets, planned
 from magiclens.contract.artifacts import FloatArray, HeightField, Scene
 
-_LOOK_UPS, _ROUNDS = 6, 16
+_ROUNDS = 12
 _STEPS = 60
 
 
@@ -34,7 +34,7 @@ class _Facets:
         from magiclens.integration.refinement import optics_for, pictures_of, samples_of
 
         k = scene.lens.microfacets + 1
-        self._samples, self._optics = samples_of(scene.lens, _LOOK_UPS), optics_for(built)
+        self._samples, self._optics = samples_of(scene.lens), optics_for(built)
         self._pictures = pictures_of(scene, self._samples.pixels)
         self._centres = scene.lens.facet_centres_mm().reshape(-1, 2)[chosen]
         self._heights = built.heights_mm.reshape(-1, k, k)[chosen]
@@ -52,7 +52,7 @@ class _Facets:
             heights = self._heights.copy()
             refine_facets(
                 heights, self._centres, self._samples, self._pictures, self._optics, metric,
-                Descent(rounds, 3, 3e-3), out,
+                Descent(rounds, 4, 5e-3), out,
             )  # fmt: skip
         return errors
 
@@ -85,7 +85,7 @@ class _Facets:
         rays = Rays(*(np.zeros((eyes, triangles, 2, *more)) for more in ((), (2,), (2,))))
         shown = Shown(
             np.zeros((triangles, 2)), np.zeros((samples.pixels**2, channels), np.float32),
-            np.zeros((len(samples.pair_pixel), 2, channels), np.float32),
+            np.zeros((len(samples.pixel), 2, channels), np.float32),
         )  # fmt: skip
         heights = flat.reshape(k, k)
         error = predict_facet(heights, centre, samples, pictures, self._optics, np.bool_(True), rays, shown)

@@ -19,7 +19,7 @@ from magiclens.images import resize, to_display
 from magiclens.integration import refinement
 from magiclens.integration.laplacian import cosines
 from magiclens.integration.poisson import Poisson
-from magiclens.integration.refinement import LOOK_UP_SCHEDULE, optics_for, pictures_of, predicted_errors, samples_of
+from magiclens.integration.refinement import optics_for, pictures_of, predicted_errors, samples_of
 from magiclens.integration.refinement_kernels import (
     Rays,
     Shown,
@@ -96,7 +96,7 @@ def showing(scene: Scene, built: HeightField) -> Scene:
 def traced(scene: Scene, built: HeightField, view: View) -> FloatArray:
     """What the built-in tracer sees, in the exposure that makes up for reflection losses; world frame."""
     lens = scene.lens
-    hits = trace(solid_from_heights(built), lens, view, lens.facets * samples_of(lens, LOOK_UP_SCHEDULE[-1]).pixels, 4)
+    hits = trace(solid_from_heights(built), lens, view, lens.facets * samples_of(lens).pixels, 4)
     seen = picture(hits, view.in_lens_frame().source, lens.source_size_mm) / np.median(hits[..., 2])
     return np.ascontiguousarray(np.rot90(seen.clip(0, 1), view.quarter_turns))
 
@@ -214,30 +214,28 @@ def test_progress_never_descends_however_many_parts_there_are(
 def test_pictures_are_compared_in_512_pixels_or_as_many_as_microfacets_can_show(
     facets: int, microfacets: int, pixels: int
 ) -> None:
-    assert samples_of(small_lens(facets, microfacets=microfacets), 3).pixels == pixels
+    assert samples_of(small_lens(facets, microfacets=microfacets)).pixels == pixels
 
 
-@pytest.mark.parametrize("look_ups", LOOK_UP_SCHEDULE)
-def test_look_ups_are_spread_evenly_over_pixels_and_triangles(look_ups: int) -> None:
-    lens = small_lens(8, microfacets=8)
-    samples, m = samples_of(lens, look_ups), 8
-    cell = (lens.pitch_mm - lens.wall_mm) / m
-    assert samples.cell_mm == pytest.approx(cell)
-    assert samples.per_side / m >= min(look_ups, 2 * samples.pixels / m)
-    rows, columns = np.divmod(np.arange(samples.per_side**2), samples.per_side)
-    down, right = ((line + 0.5) * m / samples.per_side for line in (rows, columns))
-    i, j = np.divmod(samples.triangle // 2, m)
-    assert (np.floor(down) == i).all()
-    assert (np.floor(right) == j).all()
-    upper = samples.triangle % 2 == 1
-    assert ((right - j > down - i) == upper).all()
-    # centroids: a third of a cell from the right angle, which is at the lower left or at the upper right
-    np.testing.assert_allclose(samples.right_mm, (right - j - np.where(upper, 2 / 3, 1 / 3)) * cell)
-    np.testing.assert_allclose(samples.up_mm, -(down - i - np.where(upper, 1 / 3, 2 / 3)) * cell)
-    per_pixel = samples.per_side // samples.pixels
-    pixel = rows // per_pixel * samples.pixels + columns // per_pixel
-    assert (samples.pair_pixel[samples.pair] == pixel).all()
-    assert (samples.pair_triangle[samples.pair] == samples.triangle).all()
+@pytest.mark.parametrize("microfacets", [3, 8, 11])
+def test_pixels_and_triangles_are_the_sums_of_their_pieces(microfacets: int) -> None:
+    lens, m = small_lens(32, microfacets=microfacets), microfacets
+    samples = samples_of(lens)
+    per_cell = (samples.pixels / m) ** 2
+    assert samples.cell_mm == pytest.approx((lens.pitch_mm - lens.wall_mm) / m)
+    pixels, triangles = np.bincount(samples.pixel, samples.share), np.bincount(samples.triangle, samples.share)
+    np.testing.assert_allclose(pixels, np.ones(samples.pixels**2), rtol=1e-6)
+    np.testing.assert_allclose(triangles, np.full(2 * m * m, 0.5 * per_cell), rtol=1e-6)
+    # the centroids of pieces have that of their triangle or pixel in their middle
+    i, j = np.divmod(samples.triangle.astype(int) // 2, m)
+    right = j + (1 + samples.triangle % 2) / 3 + samples.right_mm / samples.cell_mm
+    down = i + (2 - samples.triangle % 2) / 3 - samples.up_mm / samples.cell_mm
+    for way in (samples.right_mm, samples.up_mm):
+        np.testing.assert_allclose(np.bincount(samples.triangle, samples.share * way), 0, atol=1e-6)
+    for way, middle in zip((down, right), np.divmod(np.arange(samples.pixels**2), samples.pixels), strict=True):
+        np.testing.assert_allclose(
+            np.bincount(samples.pixel, samples.share * way), (middle + 0.5) * m / samples.pixels, rtol=1e-6
+        )
 
 
 def test_measures_are_those_of_the_refined_surface(matched: tuple[Scene, HeightField]) -> None:
@@ -371,16 +369,16 @@ class Facet:
         self.scene = showing(replace(scene, views=views), built)
         self.heights = built.heights_mm[1, 2].copy()
         self.centre, self.optics = scene.lens.facet_centres_mm()[1, 2], optics_for(built)
-        self.samples = samples_of(scene.lens, LOOK_UP_SCHEDULE[0])
+        self.samples = samples_of(scene.lens)
         self.pictures = pictures_of(self.scene, self.samples.pixels)
         self.triangles, self.channels = 2 * scene.lens.microfacets**2, len(self.pictures.plane)
         self.seen = self.look(self.heights)
 
     def look(self, heights: FloatArray) -> Shown:
-        pixels, pairs, eyes = self.samples.pixels**2, len(self.samples.pair_pixel), len(self.pictures.eyes_mm)
+        pixels, pieces, eyes = self.samples.pixels**2, len(self.samples.pixel), len(self.pictures.eyes_mm)
         landing, derivatives = np.zeros((eyes, self.triangles, 2)), np.zeros((2, eyes, self.triangles, 2, 2))
         residuals = np.zeros((pixels, self.channels), np.float32)
-        gradients = np.zeros((pairs, 2, self.channels), np.float32)
+        gradients = np.zeros((pieces, 2, self.channels), np.float32)
         seen = Shown(np.zeros((self.triangles, 2)), residuals, gradients)
         rays = Rays(landing, *derivatives)
         error = predict_facet(heights, self.centre, self.samples, self.pictures, self.optics, True, rays, seen)

@@ -41,7 +41,7 @@ class Poisson(Integrator):
     )
     rounds: int = Field(30, ge=1, le=1000, description="rounds of orientation and integration, at most")
     refinement: int = Field(
-        16,
+        12,
         ge=0,
         le=1000,
         description="steps of free-form refinement, per blur of the sources; 0 leaves facets smooth lenslets",

@@ -24,20 +24,20 @@ from magiclens.optics.medium import Cut, Optics, optics_of
 
 _BLURS = (0.08, 0.03, 0.0)
 """Blurs of the sources, one after the other, in facet widths. A blurred edge has a gradient even far away from it."""
-LOOK_UP_SCHEDULE = (3, 3, 6)
-"""Approximate number of look-ups of the source along a micro-facet's side, per blur.
-
-With few of them, a detail of the source between two look-ups has no influence on the shape."""
-_ITERATIONS = 3
+_LEAST_BLUR = 0.1
+"""Least blur of the sources, in widths of a micro-facet: a look-up stands for a piece of one."""
+_ITERATIONS = 4
 """Iterations of conjugate gradients per step."""
 _PERFECT = 1e-7
 """Mean squared difference of what a facet shows and its tile that is not worth a step."""
-_ENOUGH = 3e-3
+_ENOUGH = 5e-3
 """A step that lowers a facet's error by a smaller share is its last."""
 _RESOLUTION = 512
 """Number of pixels along the lens's side in which its picture is compared, within the bounds below."""
 _FINEST, _COARSEST = 1.5, 0.35
 """Most and least pixels along a micro-facet's side."""
+_LEAST_PIECE = 1e-9
+"""Share of a cell that is a piece of it, and not rounding."""
 _DISPLAY_ENTRIES = 8192
 """Number of entries of the table of display values."""
 FACETS_AT_ONCE = 512
@@ -68,14 +68,14 @@ def refine(
     """
     facets = _Facets(scene, built, locked)
     progress(0.1)
-    for stage, (blur, look_ups) in enumerate(zip(_BLURS, LOOK_UP_SCHEDULE, strict=True)):
+    for stage, blur in enumerate(_BLURS):
         if stage == len(_BLURS) - 1:
             # facets that blurred sources made worse start from their given shapes again, now with a sharp source
             facets.keep_better(facets.errors())
             if relevel:
                 facets.relevel(relevel)
-        last = facets.descend(blur, look_ups, rounds, partial(_tell, progress, stage))
-    refined = facets.keep_better(last)
+        errors = facets.descend(blur, rounds, partial(_tell, progress, stage))
+    refined = facets.keep_better(errors)
     after = replace(built, heights_mm=facets.heights.reshape(built.heights_mm.shape))
     metrics = {**built.metrics, **surface_metrics(after), "facets_refined": float(refined.mean())}
     return replace(after, metrics=metrics)
@@ -101,14 +101,13 @@ class _Facets:
     def __init__(self, scene: Scene, built: HeightField, locked: bool):
         k, lens = scene.lens.microfacets + 1, scene.lens
         self._lens, self._optics, self._centres = lens, optics_for(built), lens.facet_centres_mm().reshape(-1, 2)
-        self._samples = {look_ups: samples_of(lens, look_ups) for look_ups in LOOK_UP_SCHEDULE}
-        finest = self._samples[LOOK_UP_SCHEDULE[-1]]
-        self._pictures = pictures_of(scene, finest.pixels)
+        self._samples = samples_of(lens)
+        self._pictures = pictures_of(scene, self._samples.pixels)
         matrix, eigenvalues = cosines(k)
         free = np.ones((k, k))
         if locked:
             free[[0, -1], :] = free[:, [0, -1]] = 0.0
-        self._metric = Metric(np.ascontiguousarray(matrix), eigenvalues / finest.cell_mm**2, free)
+        self._metric = Metric(np.ascontiguousarray(matrix), eigenvalues / self._samples.cell_mm**2, free)
         self.heights = built.heights_mm.reshape(-1, k, k).copy()
         self._given, self._imperfect = self.heights.copy(), np.arange(len(self.heights))
         self.first = self.errors()
@@ -116,22 +115,21 @@ class _Facets:
 
     def errors(self) -> FloatArray:
         """(F,) mean squared differences as the facets are now, see ``first``; inf for perfect ones."""
-        return self.descend(0.0, LOOK_UP_SCHEDULE[-1], 0, lambda _: None)
+        return self.descend(_BLURS[-1], 0, lambda _: None)
 
-    def descend(self, blur: float, look_ups: int, rounds: int, progress: Callable[[float], None]) -> FloatArray:
+    def descend(self, blur: float, rounds: int, progress: Callable[[float], None]) -> FloatArray:
         """Take steps with all facets that are not perfect.
 
         Args:
             blur: of the sources, in facet widths.
-            look_ups: number of look-ups along a micro-facet's side, of ``LOOK_UP_SCHEDULE``.
             rounds: steps per facet, at most.
             progress: is told the share of the facets that are done.
 
         Returns:
             (F,) mean squared errors, in display values; inf for perfect ones.
         """
-        pictures, samples = blurred(self._pictures, blur * self._lens.pitch_mm), self._samples[look_ups]
-        descent = Descent(rounds, _ITERATIONS, _ENOUGH)
+        pictures = blurred(self._pictures, max(blur * self._lens.pitch_mm, _LEAST_BLUR * self._samples.cell_mm))
+        samples, descent = self._samples, Descent(rounds, _ITERATIONS, _ENOUGH)
         errors = np.full(len(self.heights), np.inf)
         for first in resumable(range(0, len(self._imperfect), FACETS_AT_ONCE), self.heights, errors):
             part = self._imperfect[first : first + FACETS_AT_ONCE]
@@ -162,29 +160,50 @@ def _tell(progress: Callable[[float], None], stage: int, done: float) -> None:
     progress(0.1 + 0.9 * (stage + done) / len(_BLURS))
 
 
-def samples_of(lens: Lens, look_ups: int) -> Samples:
-    """Where the facets of a lens are sampled.
-
-    Args:
-        lens: The lens.
-        look_ups: about how many look-ups there are along a micro-facet's side; a pixel has at least 2 x 2.
-    """
+def samples_of(lens: Lens) -> Samples:
+    """Where the facets of a lens are sampled."""
     m = lens.microfacets
     pixels = round(min(max(_RESOLUTION / lens.facets, _COARSEST * m), _FINEST * m))
-    per_pixel = max(2, round(look_ups * m / pixels))
-    cell, side = (lens.pitch_mm - lens.wall_mm) / m, pixels * per_pixel
-    at = (np.arange(side) + 0.5) * m / side
-    right, down = (a.ravel() for a in np.meshgrid(at, at))
-    i, j = down.astype(int), right.astype(int)
-    upper = (right - j > down - i).astype(int)
-    triangle = 2 * (i * m + j) + upper
-    pixel = np.add.outer(np.arange(side) // per_pixel * pixels, np.arange(side) // per_pixel).ravel()
-    pairs, pair = np.unique(pixel * (2 * m * m) + triangle, return_inverse=True)
-    # centroids lie a third of a cell from the right angle, which is at the lower left or at the upper right
-    return Samples(
-        cell, pixels, side, triangle, (right - j - (1 + upper) / 3) * cell, (i + (2 - upper) / 3 - down) * cell,
-        pair, pairs // (2 * m * m), pairs % (2 * m * m),
-    )  # fmt: skip
+    cell = (lens.pitch_mm - lens.wall_mm) / m
+    # the sides of pixels and of cells cut the facet into rectangles, each within one of either
+    lines = np.union1d(np.arange(pixels + 1) * m, np.arange(m + 1) * pixels)
+    of_cell, first = np.divmod(lines[:-1], pixels)
+    area, right, down = _halves(first / pixels, (first + np.diff(lines)) / pixels)
+    upper, row, column = np.nonzero(area > _LEAST_PIECE)
+    area, right, down = (a[upper, row, column] for a in (area, right, down))
+    of_pixel = lines[:-1] // m
+    pixel, triangle = of_pixel[row] * pixels + of_pixel[column], 2 * (of_cell[row] * m + of_cell[column]) + upper
+    # triangles' centroids lie a third of a cell from the right angle, which is at the lower left or at the upper right
+    right_mm, up_mm = (right - (1 + upper) / 3) * cell, ((2 - upper) / 3 - down) * cell
+    share = (area * (pixels / m) ** 2).astype(np.float32)
+    order = np.lexsort((triangle, pixel))
+    # numbers without signs, so that kernels need not look for negative indices
+    pixel, triangle = pixel[order].astype(np.uint32), triangle[order].astype(np.uint32)
+    return Samples(cell, pixels, pixel, triangle, right_mm[order], up_mm[order], share[order])
+
+
+def _halves(first: FloatArray, end: FloatArray) -> FloatArray:
+    """The parts of rectangles at the lower left and at the upper right of their cells' diagonals.
+
+    Args:
+        first: (E,) where the rows and the columns of rectangles begin in their cells, whose side is 1.
+        end: (E,) where they end.
+
+    Returns:
+        (3, 2, E, E) areas, lower left first, and where the centroids lie, to the right and downward in their cells.
+    """
+    y0, y1, x0, x1 = first[:, None], end[:, None], first, end
+    # integrals of 1, x and y over y < x: as far as a, rows are whole; from there to b, they begin at the diagonal
+    a, b = np.clip(x0, y0, y1), np.clip(x1, y0, y1)
+    upper = np.stack([
+        (x1 - x0) * (a - y0) + x1 * (b - a) - (b**2 - a**2) / 2,
+        ((x1**2 - x0**2) * (a - y0) + x1**2 * (b - a)) / 2 - (b**3 - a**3) / 6,
+        ((x1 - x0) * (a**2 - y0**2) + x1 * (b**2 - a**2)) / 2 - (b**3 - a**3) / 3,
+    ])  # fmt: skip
+    whole = (x1 - x0) * (y1 - y0) * np.stack(np.broadcast_arrays(1.0, (x0 + x1) / 2, (y0 + y1) / 2))
+    parts: FloatArray = np.stack([whole - upper, upper], axis=1)
+    parts[1:] /= np.maximum(parts[0], _LEAST_PIECE)
+    return parts
 
 
 def optics_for(built: HeightField) -> Optics:

@@ -1,12 +1,12 @@
 """Gauss-Newton steps on the shapes of facets, compiled: all of their vertices are free.
 
 A facet's unknowns are its k x k = (m + 1) x (m + 1) heights. Its picture is cut into P x P pixels, each of which
-averages S x S look-ups of the source. A flat triangle sends its look-ups to a landing point and around it, and its two
-slopes move the landing point. The residuals are differences of display values per pixel and channel.
+averages the source over the pieces of triangles that it sees: one look-up each. A flat triangle sends its pieces to a
+landing point and around it, and its two slopes move the landing point. The residuals are differences of display values
+per pixel and channel.
 
-The letters in shapes: F facets, k x k vertices and T = 2 m^2 triangles of a facet, P x P pixels of a facet, S x S
-look-ups per pixel, L = (P S)^2 look-ups of a facet, K pairs of a pixel and a triangle that it sees, E eyes, C channels
-of all eyes.
+The letters in shapes: F facets, k x k vertices and T = 2 m^2 triangles of a facet, P x P pixels of a facet, K pieces of
+a facet, E eyes, C channels of all eyes.
 """
 
 from __future__ import annotations
@@ -28,8 +28,10 @@ _SPAN_STEP_MM = 0.02
 """Way over a triangle, mm, over which derivatives are taken by finite differences."""
 LIGHT_STEP = 20
 """Entries of the display table on each side over which its slope is taken: near black it is steep."""
-_FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 0.1, 1e-4, 1e2
+_FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 0.5, 1e-4, 1e2
 """Damping of the Gauss-Newton steps, relative to the mean square of the gradients: the first, the least, the most."""
+_WORSE = 10.0
+"""Factor of the damping after a step that is not taken."""
 _FLATNESS = 1e-3
 """Pull on heights, beside that on slopes, per mm^2: it keeps a facet's mean where it is."""
 
@@ -37,29 +39,26 @@ _FLATNESS = 1e-3
 class Samples(NamedTuple):
     """Where on a facet its picture is sampled; the same for all facets.
 
-    Triangle 2 (i m + j) is the lower left half of cell (i, j), the next one the upper right.
+    The sides of pixels and of triangles cut a facet into K pieces, each of one pixel and one triangle; they are sorted
+    by pixel. Triangle 2 (i m + j) is the lower left half of cell (i, j), the next one the upper right.
 
     Args:
         cell_mm: side of a micro-facet, mm.
         pixels: P.
-        per_side: P S.
-        triangle: (L,) the triangle of each look-up.
-        right_mm: (L,) distance of each look-up from its triangle's centroid along +x, mm.
-        up_mm: (L,) the same along +y, mm.
-        pair: (L,) pair of pixel and triangle of each look-up.
-        pair_pixel: (K,) pixel of each pair.
-        pair_triangle: (K,) triangle of each pair.
+        pixel: (K,) of each piece.
+        triangle: (K,) of each piece.
+        right_mm: (K,) distance of a piece's centroid from its triangle's along +x, mm.
+        up_mm: (K,) the same along +y, mm.
+        share: (K,) float32 of its pixel's area.
     """
 
     cell_mm: float
     pixels: int
-    per_side: int
+    pixel: IntArray
     triangle: IntArray
     right_mm: FloatArray
     up_mm: FloatArray
-    pair: IntArray
-    pair_pixel: IntArray
-    pair_triangle: IntArray
+    share: FloatArray
 
 
 class Pictures(NamedTuple):
@@ -120,7 +119,7 @@ class Shown(NamedTuple):
     Args:
         slopes: (T, 2) slopes of the triangles along +x and +y.
         residuals: (P P, C) float32 what is shown less the target, display values.
-        gradients: (K, 2, C) float32 derivatives of a pair's share of its pixel along the slopes of its triangle.
+        gradients: (K, 2, C) float32 derivatives of a piece's share of its pixel along the slopes of its triangle.
     """
 
     slopes: FloatArray
@@ -203,7 +202,7 @@ def triangle_slopes_transposed(forces, cell, out):
 
 @njit(cache=True)
 def _aim(heights, slopes, centre, eye, samples, optics, derive, rays):
-    """Fill rays with every triangle's landing point and its derivatives, by finite differences.
+    """Fill rays with every triangle's landing point and its derivatives, by finite differences, equal in cells' halves.
 
     Args:
         heights: (k, k) of the facet, mm.
@@ -219,36 +218,46 @@ def _aim(heights, slopes, centre, eye, samples, optics, derive, rays):
         False if a ray does not arrive, or a triangle is steeper than allowed.
     """
     m, cell = len(heights) - 1, samples.cell_mm
-    for t in range(2 * m * m):
-        i, j = t // 2 // m, t // 2 % m
-        # the centroid: odd triangles are upper right, even ones lower left
-        right, down = ((j + 2 / 3) * cell, (i + 1 / 3) * cell) if t & 1 else ((j + 1 / 3) * cell, (i + 2 / 3) * cell)
-        u, v = centre[0] - 0.5 * m * cell + right, centre[1] + 0.5 * m * cell - down
-        third = heights[i, j + 1] if t & 1 else heights[i + 1, j]
-        h, a, b = (heights[i, j] + heights[i + 1, j + 1] + third) / 3, slopes[t, 0], slopes[t, 1]
-        x, y, there = land_by_slopes(u, v, h, a, b, eye, optics)
-        if not there:
-            return False
-        rays.landing[t, 0], rays.landing[t, 1] = x, y
-        for k in range(4 if derive else 0):
-            du, dv = (_SPAN_STEP_MM if k == 2 else 0.0), (_SPAN_STEP_MM if k == 3 else 0.0)
-            da, db = (SLOPE_STEP if k == 0 else 0.0), (SLOPE_STEP if k == 1 else 0.0)
-            ax, ay, good = land_by_slopes(u + du, v + dv, h + a * du + b * dv, a + da, b + db, eye, optics)
-            step = SLOPE_STEP if k < 2 else _SPAN_STEP_MM
-            out = rays.by_slope[t, k] if k < 2 else rays.by_position[t, k - 2]
-            # where the neighbouring ray does not arrive, nothing is known: no change is expected
-            out[0] = (ax - x) / step if good else 0.0
-            out[1] = (ay - y) / step if good else 0.0
+    for i in range(m):
+        for j in range(m):
+            for upper in range(2):
+                t = 2 * (i * m + j) + upper
+                # the centroid, a third of a cell from the right angle
+                right, down = (j + (1 + upper) / 3) * cell, (i + (2 - upper) / 3) * cell
+                u, v = centre[0] - 0.5 * m * cell + right, centre[1] + 0.5 * m * cell - down
+                third = heights[i + 1 - upper, j + upper]
+                h, a, b = (heights[i, j] + heights[i + 1, j + 1] + third) / 3, slopes[t, 0], slopes[t, 1]
+                # the ray itself, then those beside it: along both slopes and along both ways over the triangle
+                for k in range(5 if derive and not upper else 1):
+                    da, db = (SLOPE_STEP if k == 1 else 0.0), (SLOPE_STEP if k == 2 else 0.0)
+                    du, dv = (_SPAN_STEP_MM if k == 3 else 0.0), (_SPAN_STEP_MM if k == 4 else 0.0)
+                    x, y, there = land_by_slopes(u + du, v + dv, h + a * du + b * dv, a + da, b + db, eye, optics)
+                    if k == 0:
+                        if not there:
+                            return False
+                        rays.landing[t, 0], rays.landing[t, 1] = x, y
+                        continue
+                    out, step = (
+                        (rays.by_slope[t, k - 1], SLOPE_STEP) if k < 3 else (rays.by_position[t, k - 3], _SPAN_STEP_MM)
+                    )
+                    # where the neighbouring ray does not arrive, nothing is known: no change is expected
+                    out[0] = (x - rays.landing[t, 0]) / step if there else 0.0
+                    out[1] = (y - rays.landing[t, 1]) / step if there else 0.0
+                if derive and upper:  # the derivatives of the cell's other half are near enough
+                    for k in range(2):
+                        for axis in range(2):
+                            rays.by_slope[t, k, axis] = rays.by_slope[t - 1, k, axis]
+                            rays.by_position[t, k, axis] = rays.by_position[t - 1, k, axis]
     return True
 
 
 # these flags relax rounding alone; none lets the compiler assume that there is no infinity or NaN
 @njit(cache=True, fastmath={"contract", "reassoc", "arcp"})
 def _gather(samples, rays, pictures, e, light, gradients):
-    """Add up the source's light over the look-ups of one eye: per pixel, and its derivatives along slopes per pair.
+    """Add up the source's light over the pieces of one eye's picture, and fill in its derivatives along slopes.
 
-    A look-up at p from its triangle's centroid takes the source at ``landing + by_position p``, between pixels; its
-    derivative along a slope is ``gradient of the source . by_slope``.
+    A piece whose centroid is at p from its triangle's takes the source at ``landing + by_position p``, between pixels;
+    its derivative along a slope is ``gradient of the source . by_slope``.
 
     Args:
         samples: of a facet.
@@ -256,32 +265,35 @@ def _gather(samples, rays, pictures, e, light, gradients):
         pictures: sources and targets.
         e: the eye.
         light: (P P, C) to add to.
-        gradients: (K, 2, C) to add to.
+        gradients: (K, 2, C) to fill.
     """
     landing, by_slope, by_position = rays
     rows = len(pictures.sources)
     per_mm, middle = rows / pictures.source_mm, 0.5 * rows - 0.5
-    for s in range(samples.per_side * samples.per_side):
-        t, k = samples.triangle[s], samples.pair[s]
-        x = landing[t, 0] + by_position[t, 0, 0] * samples.right_mm[s] + by_position[t, 1, 0] * samples.up_mm[s]
-        y = landing[t, 1] + by_position[t, 0, 1] * samples.right_mm[s] + by_position[t, 1, 1] * samples.up_mm[s]
+    for k in range(len(samples.pixel)):
+        t, p, share = samples.triangle[k], samples.pixel[k], samples.share[k]
+        x = landing[t, 0] + by_position[t, 0, 0] * samples.right_mm[k] + by_position[t, 1, 0] * samples.up_mm[k]
+        y = landing[t, 1] + by_position[t, 0, 1] * samples.right_mm[k] + by_position[t, 1, 1] * samples.up_mm[k]
         column, row = x * per_mm + middle, middle - y * per_mm
         if not (0.0 <= column < rows - 1.001 and 0.0 <= row < rows - 1.001):
-            continue  # beside the source it is dark
+            for c in range(pictures.first[e], pictures.first[e + 1]):
+                gradients[k, 0, c] = gradients[k, 1, c] = 0.0  # beside the source it is dark
+            continue
         # not ``sampling.bilinear``, which would find these pixels and weights again for every channel
         i, j = int(row), int(column)
         # float32 as the sources: float64 weights would turn all sums below into float64
-        fy, fx = np.float32(row - i), np.float32(column - j)
-        p = samples.pair_pixel[k]
+        fy, fx, scale = np.float32(row - i), np.float32(column - j), np.float32(share * per_mm)
+        ax, ay = np.float32(by_slope[t, 0, 0]), np.float32(by_slope[t, 0, 1])
+        bx, by = np.float32(by_slope[t, 1, 0]), np.float32(by_slope[t, 1, 1])
         for c in range(pictures.first[e], pictures.first[e + 1]):
             w = pictures.plane[c]
             tl, tr = pictures.sources[i, j, w], pictures.sources[i, j + 1, w]
             bl, br = pictures.sources[i + 1, j, w], pictures.sources[i + 1, j + 1, w]
             top, low = tl + (tr - tl) * fx, bl + (br - bl) * fx
-            light[p, c] += top + (low - top) * fy
-            to_x, to_y = ((tr - tl) + ((br - bl) - (tr - tl)) * fy) * per_mm, (top - low) * per_mm
-            gradients[k, 0, c] += to_x * by_slope[t, 0, 0] + to_y * by_slope[t, 0, 1]
-            gradients[k, 1, c] += to_x * by_slope[t, 1, 0] + to_y * by_slope[t, 1, 1]
+            light[p, c] += share * (top + (low - top) * fy)
+            to_x, to_y = scale * ((tr - tl) + ((br - bl) - (tr - tl)) * fy), scale * (top - low)
+            gradients[k, 0, c] = to_x * ax + to_y * ay
+            gradients[k, 1, c] = to_x * bx + to_y * by
 
 
 @njit(cache=True)
@@ -305,7 +317,7 @@ def target_at(pictures, e, px, py, out):
 
 @njit(cache=True)
 def predict_facet(heights, centre, samples, pictures, optics, derive, rays, shown):
-    """Fill in what a facet shows: ``residual = display(mean light of a pixel's look-ups) - target``.
+    """Fill in what a facet shows: ``residual = display(mean light of a pixel's pieces) - target``.
 
     The gradients are those of the residuals, by the chain rule; the display curve's slope is taken over some entries
     of its table.
@@ -327,9 +339,7 @@ def predict_facet(heights, centre, samples, pictures, optics, derive, rays, show
     light = np.zeros_like(residuals)
     side, last = samples.pixels, len(pictures.display) - 1
     m, cell = len(heights) - 1, samples.cell_mm
-    each = 1.0 / (samples.per_side // side) ** 2  # a pixel is the mean of its S x S look-ups
     triangle_slopes(heights, cell, slopes)
-    gradients[:] = 0.0
     total, count = 0.0, 0
     for e in range(len(pictures.eyes_mm)):
         eye = pictures.eyes_mm[e]
@@ -345,16 +355,16 @@ def predict_facet(heights, centre, samples, pictures, optics, derive, rays, show
             seen = target_at(pictures, e, px, py, residuals[p])
             for c in range(pictures.first[e], pictures.first[e + 1]):
                 # residuals hold the targets until here, and light holds the display curve's slope from here on
-                at = min(int(light[p, c] * each * last + 0.5), last)
+                at = min(int(light[p, c] * last + 0.5), last)
                 residuals[p, c] = pictures.display[at] - residuals[p, c] if seen else 0.0
                 lo, hi = max(at - LIGHT_STEP, 0), min(at + LIGHT_STEP, last)
                 slope = (pictures.display[hi] - pictures.display[lo]) * last / (hi - lo)
-                light[p, c] = slope * each if seen else 0.0
+                light[p, c] = slope if seen else 0.0
                 total += residuals[p, c] ** 2
                 count += seen
     for k in range(len(gradients)):
         for c in range(gradients.shape[2]):
-            scale = light[samples.pair_pixel[k], c]
+            scale = light[samples.pixel[k], c]
             gradients[k, 0, c] *= scale
             gradients[k, 1, c] *= scale
     return total / max(count, 1)
@@ -379,7 +389,7 @@ def residual_change(samples, shown, slopes, out):
     """Fill out (P P, C) with the derivative of the residuals along a change of the slopes (T, 2)."""
     out[:] = 0.0
     for k in range(len(shown.gradients)):
-        p, t = samples.pair_pixel[k], samples.pair_triangle[k]
+        p, t = samples.pixel[k], samples.triangle[k]
         a, b = np.float32(slopes[t, 0]), np.float32(slopes[t, 1])
         for c in range(out.shape[1]):
             out[p, c] += shown.gradients[k, 0, c] * a + shown.gradients[k, 1, c] * b
@@ -390,7 +400,7 @@ def residual_change_transposed(samples, shown, residuals, out):
     """Fill out (T, 2) with the transpose of ``residual_change``, applied to residuals (P P, C)."""
     out[:] = 0.0
     for k in range(len(shown.gradients)):
-        p, t = samples.pair_pixel[k], samples.pair_triangle[k]
+        p, t = samples.pixel[k], samples.triangle[k]
         a, b = np.float32(0.0), np.float32(0.0)
         for c in range(residuals.shape[1]):
             a += shown.gradients[k, 0, c] * residuals[p, c]
@@ -414,6 +424,9 @@ def _step(shown, samples, metric, damping, iterations, out):
         damping: relative to the mean square of the gradients.
         iterations: of conjugate gradients.
         out: (k, k) to fill, mm.
+
+    Returns:
+        By how much the sum of squared residuals falls if they change with the heights as J says.
     """
     free = metric.free
     k, cell = len(out), samples.cell_mm
@@ -432,7 +445,7 @@ def _step(shown, samples, metric, damping, iterations, out):
     triangle_slopes_transposed(forces, cell, field)
     field *= -free
     to_spectrum(field, metric.cosines, work, residual)
-    old = 1.0
+    old, expected = 1.0, 0.0
     for n in range(iterations):
         new = (residual * inverse * residual).sum()
         if new <= 1e-18:
@@ -450,22 +463,24 @@ def _step(shown, samples, metric, damping, iterations, out):
         image += stiff * direction
         length = new / (direction * image).sum()
         total += length * direction
+        expected += length * new
         residual -= length * image
         old = new
     to_field(total, metric.cosines, work, out)
     out *= free
+    return expected + (stiff * total * total).sum()
 
 
 @njit(cache=True, nogil=True)
 def _refine_part(part, shapes, samples, pictures, optics, metric, descent, errors):
     """Part of the facets, see ``refine_facets``; shapes: heights and centres."""
     heights, centres = shapes
-    k, pairs, channels = heights.shape[1], len(samples.pair_pixel), len(pictures.plane)
+    k, pieces, channels = heights.shape[1], len(samples.pixel), len(pictures.plane)
     triangles, pixels = 2 * (k - 1) ** 2, samples.pixels**2
     eyes = len(pictures.eyes_mm)
     rays = Rays(np.zeros((eyes, triangles, 2)), np.zeros((eyes, triangles, 2, 2)), np.zeros((eyes, triangles, 2, 2)))
     slopes, residuals = np.zeros((2, triangles, 2)), np.zeros((2, pixels, channels), np.float32)
-    gradients = np.zeros((2, pairs, 2, channels), np.float32)
+    gradients = np.zeros((2, pieces, 2, channels), np.float32)
     # one of the facet as it is and one of the trial: a step that is taken exchanges them
     predictions = (Shown(slopes[0], residuals[0], gradients[0]), Shown(slopes[1], residuals[1], gradients[1]))
     step = np.zeros((k, k))
@@ -477,19 +492,22 @@ def _refine_part(part, shapes, samples, pictures, optics, metric, descent, error
         for _ in range(descent.rounds):
             if not 0.0 < error < np.inf:
                 break
-            _step(predictions[now], samples, metric, damping, descent.iterations, step)
+            expected = _step(predictions[now], samples, metric, damping, descent.iterations, step)
             for n in range(k * k):  # element by element, see ``polishing_kernels.read_candidate``
                 trial[n // k, n % k] = heights[f, n // k, n % k] + step[n // k, n % k]
             less = predict_facet(trial, centres[f], samples, pictures, optics, not derive, rays, predictions[1 - now])
             if less < error:
                 for n in range(k * k):
                     heights[f, n // k, n % k] = trial[n // k, n % k]
-                gain, error, now, damping = error - less, less, 1 - now, max(damping / 3, _LEAST_DAMPING)
+                ratio = (error - less) * predictions[now].residuals.size / expected
+                # Nielsen's rule: the better the step was foreseen, the less the next one is damped
+                damping = max(damping * max(1 / 3, 1 - (2 * ratio - 1) ** 3), _LEAST_DAMPING)
+                gain, error, now = error - less, less, 1 - now
                 # the step taken is kept all the same
                 if gain < descent.enough * error:
                     break
             else:
-                damping *= 5
+                damping *= _WORSE
                 if damping > _MOST_DAMPING:
                     break
         errors[f] = error
@@ -507,7 +525,7 @@ def refine_facets(
 ) -> None:
     """Lower the facets' mean squared residuals, in place, by damped Gauss-Newton steps (Levenberg-Marquardt).
 
-    A step that lowers a facet's error is taken, and the damping falls to a third; else the damping grows fivefold.
+    A step that lowers a facet's error is taken, and the damping falls to as little as a third; else it grows tenfold.
 
     Args:
         heights: (F, k, k) mm, changed in place.
