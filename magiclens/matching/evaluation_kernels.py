@@ -45,23 +45,25 @@ def _evaluate_facet(f, tiles, source, per_mm, stairs, window, found):
     height, width = source.shape[1], source.shape[2]
     pitch, table = tiles.pitch, stairs.display
     scale = (len(table) - 1) / (LOOK_UPS * LOOK_UPS)
-    cell, sub = pitch / stairs.microfacets, pitch / (pixels * LOOK_UPS)
+    cell, side = pitch / stairs.microfacets, pixels * LOOK_UPS
+    # of the look-ups along a side: the middle of the micro-facet, and what the look-up sees from there
+    middles, besides = np.empty(side), np.empty(side)
+    for i in range(side):
+        u = (i + 0.5) * pitch / side
+        middle = (math.floor(u / cell) + 0.5) * cell
+        middles[i], besides[i] = middle - 0.5 * pitch, stairs.flat_scale * (u - middle)
     light = np.zeros(channels, np.float32)
     for k in range(found.errors.shape[1]):
         if not np.isfinite(found.errors[f, k]):
             continue
-        m, total = found.maps[f, k], 0.0
+        (xx, xy, yy), total = (found.maps[f, k, 0], found.maps[f, k, 1], found.maps[f, k, 2]), 0.0
         x0, y0 = tiles.centres[f, 0] + found.offsets[f, k, 0], tiles.centres[f, 1] + found.offsets[f, k, 1]
         for p in range(pixels * pixels):
             light[:] = 0.0
             for s in range(LOOK_UPS * LOOK_UPS):
-                u = ((p % pixels) * LOOK_UPS + s % LOOK_UPS + 0.5) * sub
-                v = ((p // pixels) * LOOK_UPS + s // LOOK_UPS + 0.5) * sub
-                a, b = (math.floor(u / cell) + 0.5) * cell, (math.floor(v / cell) + 0.5) * cell
-                du, dv = stairs.flat_scale * (u - a), stairs.flat_scale * (v - b)
-                a, b = a - 0.5 * pitch, b - 0.5 * pitch
-                x = (x0 + m[0] * a + m[1] * b + du) * per_mm + 0.5 * width - 0.5
-                y = (y0 + m[1] * a + m[2] * b + dv) * per_mm + 0.5 * height - 0.5
+                i, j = p % pixels * LOOK_UPS + s % LOOK_UPS, p // pixels * LOOK_UPS + s // LOOK_UPS
+                x = (x0 + xx * middles[i] + xy * middles[j] + besides[i]) * per_mm + 0.5 * width - 0.5
+                y = (y0 + xy * middles[i] + yy * middles[j] + besides[j]) * per_mm + 0.5 * height - 0.5
                 if not (-0.5 <= x <= width - 0.5 and -0.5 <= y <= height - 0.5):
                     continue  # beside the source it is dark
                 ix, iy, dx, dy = clamped_cell(x, y, width, height)

@@ -132,22 +132,20 @@ def polishing_step(jtj, jtr, damping, per_mm, isotropic, step):
 
 
 @njit(cache=True)
-def _allowed(q, centre, tiles, edge, window, rule, optics):
-    """Whether a facet can show the patch of parameters q, which lies in the window and on the source."""
-    half = 0.5 * tiles.pitch
+def _inside(q, centre, half, edge, window, isotropic):
+    """Whether the patch of parameters q lies in the window and on the source, and its map may be so."""
     spread_x = half * (abs(q[2]) + abs(q[3]))
     spread_y = half * (abs(q[3]) + abs(q[4]))
     return (
-        not (rule.isotropic and q[2] <= 0.0) and abs(q[0]) <= window.half and abs(q[1]) <= window.half
+        not (isotropic and q[2] <= 0.0) and abs(q[0]) <= window.half and abs(q[1]) <= window.half
         and abs(centre[0] + q[0]) + spread_x <= edge and abs(centre[1] + q[1]) + spread_y <= edge
-        and reachable(centre, (q[0], q[1]), (q[2], q[3], q[4]), half, optics)
     )  # fmt: skip
 
 
 @njit(cache=True)
 def _polish_facet(f, tiles, levels, per_mm, window, rule, optics, found):
     """Polish the candidates of facet f, see ``polish``."""
-    px = tiles.pitch / tiles.values.shape[1]
+    px, half = tiles.pitch / tiles.values.shape[1], 0.5 * tiles.pitch
     edge = 0.5 * levels.images.shape[2] / per_mm
     jtj, jtr = np.zeros((2, PARAMETERS, PARAMETERS)), np.zeros((2, PARAMETERS))
     step, now = np.zeros(PARAMETERS), 0
@@ -164,9 +162,10 @@ def _polish_facet(f, tiles, levels, per_mm, window, rule, optics, found):
             for a in range(PARAMETERS):
                 q[a] = p[a] + step[a]
             other, trial = 1 - now, np.inf
-            if _allowed(q, centre, tiles, edge, window, rule, optics):
+            if _inside(q, centre, half, edge, window, rule.isotropic):
                 trial = _normal_equations(tile, levels, per_mm, centre, px, q, jtj[other], jtr[other])
-            if trial < best:
+            # whether refraction can do it is asked last, as it takes long and is seldom denied
+            if trial < best and reachable(centre, (q[0], q[1]), (q[2], q[3], q[4]), half, optics):
                 gain, best, now = best - trial, trial, other
                 p, q = q, p
                 damping *= 0.3
