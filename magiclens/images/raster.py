@@ -98,5 +98,7 @@ def _paint_layer(canvas: FloatArray, layer: Layer) -> None:
         return
     cover = coverage([outline - (left, top) for outline in outlines], (bottom - top, right - left))
     x, y = np.meshgrid((np.arange(left, right) + 0.5) / scale, (np.arange(top, bottom) + 0.5) / scale)
-    window = canvas[top:bottom, left:right]
-    window += layer.opacity * cover[..., None] * (layer.paint(x, y) - window)
+    share, colour = layer.opacity * cover, layer.paint(x, y)
+    for k in range(canvas.shape[-1]):  # numpy is slow along an axis as short as that of channels
+        channel = canvas[top:bottom, left:right, k]
+        channel += share * (colour[..., k] - channel)
