@@ -6,6 +6,7 @@ import hashlib
 import json
 import re
 import shutil
+import tracemalloc
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -28,10 +29,11 @@ from magiclens.preflight.checks import run_preflight
 from magiclens.preflight.finding import ANY_MESH, Finding, Preflight, Verdict, graded, worst, worst_facet_text
 from magiclens.preflight.light import SeenTop, check_fresnel_loss, check_total_reflection, seen_top
 from magiclens.preflight.machine import check_as_made, check_bed, check_detail, check_material, check_tool_reach
-from magiclens.preflight.mesh_file import MeshFile, read_mesh_file
+from magiclens.preflight.mesh_file import MeshFile, SharedCorners, read_mesh_file
 from magiclens.preflight.page import STATUS_COLOURS, lens_map, preflight_text, write_preflight
 from magiclens.preflight.picture import check_colours
 from magiclens.preflight.stairs import check_stairs
+from magiclens.preflight.survey import survey
 from magiclens.preflight.triangles import TopTriangles, top_triangles, trace_triangles
 from magiclens.processes.tilting import Tilt
 from magiclens.profiles.machines import Printer, machines
@@ -380,6 +382,20 @@ def test_what_is_lost_to_fresnel_and_total_reflection_is_counted(slope: float) -
 def _light(solid: Solid, lens: Lens) -> tuple[TopTriangles, SeenTop, FloatArray, Lens]:
     top = top_of(solid)
     return top, *seen_top(top.wall, [trace_triangles(whole_top(as_file(solid)), lens, EYE)]), lens
+
+
+def test_what_is_known_of_a_triangle_takes_few_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("numba.get_num_threads", lambda: 1)  # each thread looks at some triangles, too
+    lens = replace(LENS, facets=48, microfacets=11)
+    solid, grey = flat(lens, (0.0, 0.0, 110.0)), np.ones((64, 64, 1), np.float32)
+    file = MeshFile(Path("lens.stl"), SharedCorners(solid.vertices.astype(np.float32), solid.faces))
+    views = [View("view", grey, grey, EYE)]
+    survey(file, lens, EYE, views)  # which compiles
+    tracemalloc.start()
+    survey(file, lens, EYE, views)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 60 * len(solid.faces)
 
 
 def test_walls_do_not_count_as_facets() -> None:

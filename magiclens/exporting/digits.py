@@ -54,18 +54,20 @@ def text_rows(numbers: IntArray, around: Sequence[bytes], decimals: int = 0) -> 
     return out[:used].tobytes()
 
 
-def numbers_of(text: bytes, around: Sequence[bytes]) -> FloatArray | None:
+def numbers_of(text: bytes, around: Sequence[bytes], first: int = 0, end: int | None = None) -> FloatArray | None:
     """The numbers of rows that ``text_rows`` has written, each in a line of its own.
 
     Args:
-        text: The rows, ASCII.
+        text: Holds the rows, ASCII. It may be so long that nobody wants a copy of a part.
         around: The texts around the numbers of each row.
+        first: Where in the text the rows begin.
+        end: Where they end; None if that is the text's end.
 
     Returns:
         (rows, K) float64, as ``float`` would read them; None if the text has any other form.
     """
-    out = np.empty((text.count(b"\n"), len(around) - 1))
-    return out if read_rows(np.frombuffer(text, np.uint8), *_joined(around), out) else None
+    out = np.empty((text.count(b"\n", first, end), len(around) - 1))
+    return out if read_rows(np.frombuffer(text, np.uint8)[first:end], *_joined(around), out) else None
 
 
 def _joined(around: Sequence[bytes]) -> tuple[NDArray[np.uint8], IntArray]:

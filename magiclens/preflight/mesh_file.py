@@ -228,7 +228,8 @@ def _own_obj(content: bytes) -> SharedCorners | None:
     end = content.find(b"\n%s" % OBJ_FACE[0]) + 1
     if not content.startswith(OBJ_HEAD) or end < len(OBJ_HEAD):
         return None
-    vertices, faces = numbers_of(content[len(OBJ_HEAD) : end], OBJ_VERTEX), numbers_of(content[end:], OBJ_FACE)
+    vertices = numbers_of(content, OBJ_VERTEX, len(OBJ_HEAD), end)
+    faces = numbers_of(content, OBJ_FACE, end)
     return None if vertices is None or faces is None else _shared(vertices, faces - 1)
 
 
@@ -247,15 +248,15 @@ def _three_mf(path: Path) -> SharedCorners:
 
 def _own_three_mf(model: bytes) -> tuple[FloatArray, FloatArray] | None:
     """Vertices (V, 3) and faces (F, 3) of a model as our exporter writes it; None if somebody else has."""
-    blocks = (_block(model, b"vertices"), _block(model, b"triangles"))
-    vertices, faces = (numbers_of(text, row) for text, row in zip(blocks, (VERTEX, TRIANGLE), strict=True))
+    vertices = numbers_of(model, VERTEX, *_block(model, b"vertices"))
+    faces = numbers_of(model, TRIANGLE, *_block(model, b"triangles"))
     return None if vertices is None or faces is None else (vertices, faces)
 
 
-def _block(model: bytes, name: bytes) -> bytes:
-    """The rows between the tags of an element; text that holds no rows if the tags are not as we write them."""
+def _block(model: bytes, name: bytes) -> tuple[int, int]:
+    """First and end of the rows between the tags of an element; of no rows if the tags are not as we write them."""
     begin, end = model.find(b"<%s>\n" % name), model.find(b"</%s>" % name)
-    return model[begin + len(name) + 3 : end] if 0 <= begin < end else b" "
+    return (begin + len(name) + 3, end) if 0 <= begin < end else (0, 1)
 
 
 def _any_three_mf(archive: ZipFile) -> tuple[FloatArray, IntArray]:
