@@ -21,7 +21,7 @@ SPECS = Path(__file__).parent.parent / "specs"
 INSTALLED = Registry.load()
 
 TOO_MUCH = {
-    "mesh": (["lens.microfacets=256"], "lens.microfacets: the mesh would take about "),
+    "mesh": (["lens.microfacets=256", "lens.facets=64"], "lens.microfacets: the mesh would take about "),
     "mesh of many facets": (["lens.facets=512"], "lens.facets: the mesh would take about "),
     "raster of the search": (["pipeline.matcher.step=0.01mm", "lens.size=2m"], "pipeline.matcher.step: the search"),
     "tracer": (
@@ -76,6 +76,12 @@ def test_shipped_specs_fit_a_small_laptop(spec: Path) -> None:
     needs = estimate(load_plan(spec, [], INSTALLED))
     assert needs.bytes < 6e9
     assert 5 < needs.seconds < 12 * 3600
+
+
+def test_sixty_million_triangles_fit_into_twelve_gib() -> None:
+    needs = estimate(load_plan(SPECS / "fine-detail.yaml", ["lens.facets=512"], INSTALLED))
+    assert needs.files["lens.stl"] > 3e9
+    assert all(part.bytes < 12 * 2**30 for part in needs.parts if part.name in ("mesh", "heights"))
 
 
 def test_plan_says_the_estimate() -> None:

@@ -180,7 +180,9 @@ def _surface(plan: Plan, seen: _Seen, rounds: int) -> Iterator[Need]:
     keys = tuple(
         f"lens.{key}" for key in sorted(("microfacets", "facets"), key=lambda key: -_times_the_usual(lens, key))
     )
-    yield Need("mesh", 900 * points, 1.5e-5 * points, keys, "fewer micro-facets or facets")
+    # all steps but Mitsuba hold little besides the mesh, 48 bytes a point: they look at some faces at a time
+    path_traced = any(isinstance(renderer.stage, Mitsuba) for renderer in plan.renderers)
+    yield Need("mesh", (300 if path_traced else 250) * points, 5e-6 * points, keys, "fewer micro-facets or facets")
     steps = stage.refinement if isinstance(stage, Poisson) and plan.matcher.stage.uses_pictures else 0
     # transforms are products with matrices: each vertex takes as long as a facet is wide
     facets_alone = 1e-6 * points * lens.microfacets * (0.1 + 0.04 * steps) * seen.views
