@@ -43,7 +43,7 @@ _HASH_FACTORS = (0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9)
 """Odd numbers by which x, y and z are multiplied to hash a point."""
 
 
-class Triangles(Protocol):
+class MeshTriangles(Protocol):
     """Triangles of which a few at a time are in memory; an array (F, 3, 3) float32 holds all of them."""
 
     def __len__(self) -> int: ...
@@ -97,7 +97,7 @@ class MeshFile:
     """
 
     path: Path
-    triangles: Triangles
+    triangles: MeshTriangles
 
     @property
     def name(self) -> str:
@@ -181,7 +181,7 @@ def read_mesh_file(path: Path) -> MeshFile:
     return MeshFile(path, _read(path))
 
 
-def _read(path: Path) -> Triangles:
+def _read(path: Path) -> MeshTriangles:
     if path.suffix == ".stl":
         with path.open("rb") as file:
             count = int.from_bytes(file.read(_STL_HEAD_BYTES)[len(STL_HEADER) :], "little")
@@ -279,7 +279,7 @@ def mesh_files(folder: Path) -> list[Path]:
     return [path for path in (folder / f"lens.{suffix}" for suffix in _SUFFIXES) if path.is_file()]
 
 
-def mirrored(triangles: FloatArray) -> FloatArray:
+def mirrored_triangles(triangles: FloatArray) -> FloatArray:
     """Triangles (F, 3, 3) mirrored in the plane x = 0."""
     # reversing the corners keeps the faces pointing outward
     flipped: FloatArray = triangles[:, ::-1].copy()

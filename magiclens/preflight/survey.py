@@ -12,7 +12,7 @@ import numpy as np
 from magiclens.contract.artifacts import FloatArray, Lens, View
 from magiclens.kernels.threads import side_by_side_ahead
 from magiclens.preflight.light import SeenTop, seen_top
-from magiclens.preflight.mesh_file import MeshFile, mirrored
+from magiclens.preflight.mesh_file import MeshFile, mirrored_triangles
 from magiclens.preflight.picture import CHECKED_VIEWS, light_in_pixels, picture_of_light
 from magiclens.preflight.triangles import TopTriangles, top_triangles, trace_triangles
 
@@ -68,7 +68,7 @@ def _look(
     traced = _traced(triangles, lens, views)
     seen, areas = seen_top(top.wall, list(traced.values()))
     shown = views[:CHECKED_VIEWS]
-    flipped = _traced(mirrored(triangles), lens, shown)
+    flipped = _traced(mirrored_triangles(triangles), lens, shown)
     light, flipped_light = (
         np.array([light_in_pixels(each[view.eye_mm.tobytes()], lens, view) for view in shown])
         for each in (traced, flipped)
