@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
@@ -19,7 +20,7 @@ from magiclens.images import resize, to_display
 from magiclens.integration.laplacian import cosines
 from magiclens.integration.refinement_kernels import Descent, Metric, Pictures, Samples, refine_facets
 from magiclens.integration.surface_metrics import surface_metrics
-from magiclens.kernels.resuming import resumable
+from magiclens.kernels.spreading import shares, spread
 from magiclens.optics.medium import Cut, Optics, optics_of
 
 _BLURS = (0.08, 0.03, 0.0)
@@ -41,7 +42,9 @@ _LEAST_PIECE = 1e-9
 _DISPLAY_ENTRIES = 8192
 """Number of entries of the table of display values."""
 FACETS_AT_ONCE = 512
-"""Number of facets between two reports of progress."""
+"""Most facets between two reports of progress."""
+_FINER = 4
+"""So many blocks of facets for each worker of a cluster: some facets take many more steps than others."""
 
 Relevel = Callable[[FloatArray, FloatArray], FloatArray]
 """From shapes (N, N, k, k) of zero mean, mm, and facets' levels (N, N), mm, to new levels (N, N), mm."""
@@ -100,14 +103,13 @@ class _Facets:
 
     def __init__(self, scene: Scene, built: HeightField, locked: bool):
         k, lens = scene.lens.microfacets + 1, scene.lens
-        self._lens, self._optics, self._centres = lens, optics_for(built), lens.facet_centres_mm().reshape(-1, 2)
-        self._samples = samples_of(lens)
-        self._pictures = pictures_of(scene, self._samples.pixels)
+        self._lens, self._centres, samples = lens, lens.facet_centres_mm().reshape(-1, 2), samples_of(lens)
         matrix, eigenvalues = cosines(k)
         free = np.ones((k, k))
         if locked:
             free[[0, -1], :] = free[:, [0, -1]] = 0.0
-        self._metric = Metric(np.ascontiguousarray(matrix), eigenvalues / self._samples.cell_mm**2, free)
+        metric = Metric(np.ascontiguousarray(matrix), eigenvalues / samples.cell_mm**2, free)
+        self._common = _Common(pictures_of(scene, samples.pixels), samples, optics_for(built), metric)
         self.heights = built.heights_mm.reshape(-1, k, k).copy()
         self._given, self._imperfect = self.heights.copy(), np.arange(len(self.heights))
         self.first = self.errors()
@@ -128,15 +130,14 @@ class _Facets:
         Returns:
             (F,) mean squared errors, in display values; inf for perfect ones.
         """
-        pictures = blurred(self._pictures, max(blur * self._lens.pitch_mm, _LEAST_BLUR * self._samples.cell_mm))
-        samples, descent = self._samples, Descent(rounds, _ITERATIONS, _ENOUGH)
-        errors = np.full(len(self.heights), np.inf)
-        for first in resumable(range(0, len(self._imperfect), FACETS_AT_ONCE), self.heights, errors):
-            part = self._imperfect[first : first + FACETS_AT_ONCE]
-            heights, after = self.heights[part], np.zeros(len(part))
-            refine_facets(heights, self._centres[part], samples, pictures, self._optics, self._metric, descent, after)
-            self.heights[part], errors[part] = heights, after
-            progress(min(1.0, (first + FACETS_AT_ONCE) / len(self._imperfect)))
+        blur_mm = max(blur * self._lens.pitch_mm, _LEAST_BLUR * self._common.samples.cell_mm)
+        descent, errors = Descent(rounds, _ITERATIONS, _ENOUGH), np.full(len(self.heights), np.inf)
+        blocks = shares(len(self._imperfect), _FINER, FACETS_AT_ONCE)
+        facets = [self._imperfect[block.start : block.stop] for block in blocks]
+        parts = [_Part(self.heights[f], self._centres[f], blur_mm, descent) for f in facets]
+        for done, (heights, after) in spread(_descended, self._common, parts, self.heights, errors):
+            self.heights[facets[done]], errors[facets[done]] = heights, after
+            progress((done + 1) / len(parts))
         return errors
 
     def relevel(self, levels_for: Relevel) -> None:
@@ -153,6 +154,39 @@ class _Facets:
         better: BoolArray = (errors < self.first) & (np.abs(self.heights).max(axis=(1, 2)) <= self._lens.relief_mm)
         self.heights = np.where(better[:, None, None], self.heights, self._given)
         return better
+
+
+class _Common:
+    """What all facets have in common while they are refined."""
+
+    def __init__(self, pictures: Pictures, samples: Samples, optics: Optics, metric: Metric):
+        self._pictures, self.samples, self.optics, self.metric = pictures, samples, optics, metric
+        self._last: tuple[float, Pictures] | None = None
+
+    def pictures(self, blur_mm: float) -> Pictures:
+        """The pictures with blurred sources; the last ones are kept, for the next block of facets."""
+        if self._last is None or self._last[0] != blur_mm:
+            self._last = blur_mm, blurred(self._pictures, blur_mm)
+        return self._last[1]
+
+
+class _Part(NamedTuple):
+    """Facets that take steps, see ``_Facets.descend``."""
+
+    heights: FloatArray
+    centres: FloatArray
+    blur_mm: float
+    descent: Descent
+
+
+def _descended(common: _Common, part: _Part) -> tuple[FloatArray, FloatArray]:
+    """Heights and errors of facets after their steps. It may be called again with the same part, on other machines."""
+    heights, errors = part.heights.copy(), np.zeros(len(part.heights))
+    refine_facets(
+        heights, part.centres, common.samples, common.pictures(part.blur_mm), common.optics, common.metric,
+        part.descent, errors,
+    )  # fmt: skip
+    return heights, errors
 
 
 def _tell(progress: Callable[[float], None], stage: int, done: float) -> None:

@@ -19,6 +19,7 @@ from magiclens.encoding.least_squares import LeastSquaresEncoder
 from magiclens.exporting.mesh_files import MeshExporter
 from magiclens.integration.poisson import Poisson
 from magiclens.matching.dart_throwing import DartThrowing
+from magiclens.matching.exhaustive import resolved_scales
 from magiclens.matching.options import LatticeOptions, MatchingOptions
 from magiclens.plan.compile import Plan
 from magiclens.profiles.machines import Printer
@@ -155,10 +156,11 @@ def _matching(plan: Plan, seen: _Seen) -> Iterator[Need]:
             "fewer facets or candidates, or a smaller source", at,
         )  # fmt: skip
     if isinstance(stage, LatticeOptions):
-        window = stage.window_on(lens)
-        maps = len(stage.scales) if stage.isotropic else 4 * len(stage.scales) ** 2
+        window, px = stage.window_on(lens), lens.pitch_mm / stage.pixels
+        scales = resolved_scales(stage.scales, px, lens.source_size_mm / seen.side)
+        maps = len(scales) if stage.isotropic else 4 * len(scales) ** 2
         trials = lens.facets**2 * (2 * window.half / window.step + 1) ** 2 * maps
-        finest = min(window.step, min(stage.scales) * lens.pitch_mm / stage.pixels)
+        finest = min(window.step, min(scales) * px)
         samples = (lens.source_size_mm / finest) ** 2 * seen.channels * seen.views if seen.eyes == 1 else 0.0
         seconds = 3e-8 * trials * seen.views + 1.2e-8 * samples * maps
         yield Need(
