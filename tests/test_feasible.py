@@ -55,7 +55,8 @@ def test_what_this_machine_cannot_hold_is_refused_with_the_key_to_change(
 
 def test_a_run_without_end_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(MEMORY_VARIABLE, "1000TB")
-    settings = ["pipeline.matcher.step=0.01mm", "pipeline.matcher.window=200%", "lens.facets=512"]
+    matcher = "{type: exhaustive, step: 0.01mm, window: 200%, scales: [1, 2, 3, 4, 5, 6, 7, 8, 9, 10]}"
+    settings = [f"pipeline.matcher={matcher}", "lens.facets=512"]
     with pytest.raises(InputError, match=r"matcher\.step: the search would take about \d+ years of processor time"):
         require_feasible(load_plan(SPECS / "single.yaml", settings, INSTALLED))
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,7 @@ from magiclens.contract.artifacts import Scene
 from magiclens.drawing.figure import Figure
 from magiclens.drawing.tiles import picture_boxes, render_rows
 from magiclens.images.score import ScoresByRenderer
+from magiclens.kernels.threads import side_by_side
 from magiclens.report.page import figure_block, report_page
 
 if TYPE_CHECKING:
@@ -20,8 +22,14 @@ def write_figure(figure: Figure, folder: Path) -> str:
     """Write ``figures/<name>.png`` into a run folder; the figure as a block of the page."""
     (folder / "figures").mkdir(exist_ok=True)
     path = folder / "figures" / f"{figure.name}.png"
-    render_rows(figure.rows).save(path, "PNG", compress_level=3, pnginfo=_words(figure))
-    return figure_block(figure)
+
+    def save() -> str:
+        render_rows(figure.rows).save(path, "PNG", compress_level=3, pnginfo=_words(figure))
+        return ""
+
+    # the block's pictures are WebP, whose encoder leaves the interpreter to others
+    works: list[Callable[[], str]] = [partial(figure_block, figure), save]
+    return side_by_side(lambda work: work(), works)[0]
 
 
 def write_report(

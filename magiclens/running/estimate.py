@@ -150,7 +150,7 @@ def _matching(plan: Plan, seen: _Seen) -> Iterator[Need]:
         facets, channels = lens.facets**2, seen.channels * seen.views
         levels = 60.0 * seen.side**2 * (channels if seen.eyes == 1 else seen.channels * seen.sources)
         pools = facets * (200.0 * stage.candidates + 16 * channels * (2 * stage.pixels) ** 2)
-        polishing = 4e-5 * facets * min(stage.polish, stage.candidates) * seen.views
+        polishing = 2e-5 * facets * min(stage.polish, stage.candidates) * seen.views
         yield Need(
             "matching", levels + pools, polishing, ("lens.facets", "candidates", "lens.size", "scenario.source.size"),
             "fewer facets or candidates, or a smaller source", at,
@@ -162,7 +162,7 @@ def _matching(plan: Plan, seen: _Seen) -> Iterator[Need]:
         trials = lens.facets**2 * (2 * window.half / window.step + 1) ** 2 * maps
         finest = min(window.step, min(scales) * px)
         samples = (lens.source_size_mm / finest) ** 2 * seen.channels * seen.views if seen.eyes == 1 else 0.0
-        seconds = 3e-8 * trials * seen.views + 1.2e-8 * samples * maps
+        seconds = 5e-9 * trials * seen.views + 1e-8 * samples * maps
         yield Need(
             "search", 20 * samples, seconds, ("step", "window", "scales", "lens.facets"),
             "a larger step or a smaller window", at,
@@ -186,8 +186,8 @@ def _surface(plan: Plan, seen: _Seen, rounds: int) -> Iterator[Need]:
     path_traced = any(isinstance(renderer.stage, Mitsuba) for renderer in plan.renderers)
     yield Need("mesh", (300 if path_traced else 250) * points, 5e-6 * points, keys, "fewer micro-facets or facets")
     steps = stage.refinement if isinstance(stage, Poisson) and plan.matcher.stage.uses_pictures else 0
-    # transforms are products with matrices: each vertex takes as long as a facet is wide
-    facets_alone = 1e-6 * points * lens.microfacets * (0.1 + 0.04 * steps) * seen.views
+    # measured: four views take twice as long as one
+    facets_alone = (1e-6 + 4e-7 * steps) * points * math.sqrt(seen.views)
     refining = (steps and _through_process(plan)) or facets_alone
     solving = 0.12e-6 * points * lens.microfacets * rounds
     yield Need(
