@@ -9,6 +9,7 @@ Prints a table; ``--write`` puts it into ``docs/reference/performance.md``, and 
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import subprocess
 import sys
@@ -21,7 +22,6 @@ import numpy as np
 from PIL import Image
 
 from benchmarks.__main__ import PAGE
-from magiclens.contract.artifacts import FloatArray
 from magiclens.drawing.chart import Chart, ChartAxis, Curve
 
 REPOSITORY = Path(__file__).parents[1]
@@ -66,23 +66,30 @@ def table(costs: list[Cost]) -> str:
     return "\n".join(lines) + "\n"
 
 
+class _Doublings(ChartAxis):
+    """An axis of binary logarithms, with a tick at every doubling."""
+
+    def ticks(self) -> dict[float, str]:
+        """Powers of two by position."""
+        powers = range(math.ceil(self.low), math.floor(self.high) + 1)
+        return {(power - self.low) / (self.high - self.low): f"{2.0**power:g}" for power in powers}
+
+
 def draw(costs: list[Cost]) -> None:
     """Draw time per facet, and memory, over the number of facets along a side."""
-    n = np.array([c.facets for c in costs], float)
+    n = np.log2([c.facets for c in costs])
     charts = {
-        "time": ("Milliseconds by the clock per facet", np.array([1000 * c.wall_s / c.facets**2 for c in costs])),
-        "memory": ("Memory at the peak, GiB", np.array([c.peak_bytes / 2**30 for c in costs])),
+        "time": ("Milliseconds by the clock per facet", [1000 * c.wall_s / c.facets**2 for c in costs]),
+        "memory": ("Memory at the peak, GiB", [c.peak_bytes / 2**30 for c in costs]),
     }
     folder = PAGE.parents[1] / "images" / "scaling"
     folder.mkdir(exist_ok=True)
-    for name, (axis, ys) in charts.items():
-        Image.fromarray(_chart(n, axis, ys)).save(folder / f"{name}.png", optimize=True)
-
-
-def _chart(n: FloatArray, axis: str, ys: FloatArray) -> FloatArray:
-    y = ChartAxis(axis, 0.0, 1.1 * float(ys.max()))
-    curve = Curve("specs/single.yaml, 11² micro-facets", ys, "#2b6cc4")
-    return Chart(n, [curve], ChartAxis("Facets along a side", 0.0, float(n[-1])), y, (0.0, 0.0, "")).draw()
+    for name, (axis, values) in charts.items():
+        ys = np.log2(values)
+        x = _Doublings("Facets along a side", float(n[0]) - 0.2, float(n[-1]) + 0.2)
+        y = _Doublings(axis, float(ys.min()) - 0.4, float(ys.max()) + 0.4)
+        chart = Chart(n, [Curve("11 x 11 micro-facets", ys, "#2b6cc4")], x, y, (x.low, x.low, ""))
+        Image.fromarray(chart.draw()).save(folder / f"{name}.png", optimize=True)
 
 
 def main() -> None:
