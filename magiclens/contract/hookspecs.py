@@ -62,7 +62,7 @@ def mlens_analyses() -> Sequence[Any]:  # type: ignore[empty-body]
 def mlens_stage_done(stage: Stage, artifact: Any, seconds: float) -> None:
     """Observe a stage that is done. One whose result is in the cache is not done, and nobody is told of it.
 
-    Exporters work while the lens is analysed: the call may come from another thread, but never during another call.
+    Built-in exporters work while the lens is analysed: the call may come from another thread, never during another.
 
     Args:
         stage: The stage with its options.

@@ -62,6 +62,11 @@ class Plugin:
     package: str
     version: str
 
+    @property
+    def built_in(self) -> bool:
+        """Whether it comes with magiclens itself."""
+        return self.package == "magiclens"
+
     def __str__(self) -> str:
         return f"{self.package} {self.version}"
 

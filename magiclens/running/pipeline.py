@@ -244,7 +244,9 @@ def _make(plan: Plan, folder: Path, steps: Steps) -> tuple[dict[str, Any], Quest
     copy_inputs(inputs, folder)
     drafts = make_lens(plan, steps.known(steps.part("pictures", plan.scene)), folder, steps)
     questions = Questions(plan, drafts, folder, steps)
-    with steps.beside(partial(export_lens, plan, drafts, folder, steps)):
+    plugins = [*(step.plugin for step in plan.exporters), *(planned.plugin for planned in plan.analyses)]
+    ours = all(plugin.built_in for plugin in plugins)
+    with steps.beside(partial(export_lens, plan, drafts, folder, steps), ours):
         answers, scores = questions.analyse(), questions.scores()
         metrics = dict(questions.measures())
         for answer in answers:

@@ -73,7 +73,7 @@ class Steps:
         self._telling = RLock()
 
     @contextmanager
-    def beside(self, work: Callable[[], object]) -> Iterator[None]:
+    def beside(self, work: Callable[[], object], ours: bool = True) -> Iterator[None]:
         """Do steps in a thread of their own while the ``with`` block does others; it ends when both are done.
 
         Much of what a step does keeps one core busy; two such steps keep two.
@@ -81,7 +81,13 @@ class Steps:
         Args:
             work: Does steps that need nothing of what those of the block make, and the other way round. If it raises,
                 the ``with`` statement does, unless the block has.
+            ours: Whether no step is a plugin's. One might not work beside others, and what it writes to the standard
+                output's descriptor could not be told from what they do: ``work`` is done before the block then.
         """
+        if not ours:
+            work()
+            yield
+            return
         with ThreadPoolExecutor(1, "beside") as pool:
             others = pool.submit(copy_context().run, work)
             yield
