@@ -42,12 +42,17 @@ def mean_db(run: Run) -> float:
 
 @pytest.mark.parametrize("scenario", [SINGLE, ROTATING])
 def test_matching_and_the_traced_picture_are_within_half_a_decibel_of_exact(scenario: str, tmp_path: Path) -> None:
-    spec = written(tmp_path, scenario)
-    mine = run_spec(spec, tmp_path / "mine")
-    exact = run_spec(spec, tmp_path / "exact", ["pipeline.matcher.type=exhaustive"])
-    bounds = [run.manifest["metrics"]["matching_psnr_db"] for run in (mine, exact)]
-    assert bounds[0] > bounds[1] - 0.5
-    assert mean_db(mine) > mean_db(exact) - 0.5
+    """On average of some seeds: of so few facets, each with another patch, pictures differ by half a decibel."""
+    spec, runs = written(tmp_path, scenario), {}
+    for matcher in ("patchmatch", "exhaustive"):
+        for seed in range(3):
+            overrides = [f"pipeline.matcher.type={matcher}", f"seed={seed}"]
+            runs[matcher, seed] = run_spec(spec, tmp_path / f"{matcher}-{seed}", overrides)
+    for measure in (mean_db, lambda run: run.manifest["metrics"]["matching_psnr_db"]):
+        mine, exact = (
+            np.mean([measure(runs[matcher, seed]) for seed in range(3)]) for matcher in ("patchmatch", "exhaustive")
+        )
+        assert mine > exact - 0.5
 
 
 def test_a_window_of_25_times_the_area_hardly_takes_longer(tmp_path: Path) -> None:
