@@ -47,11 +47,11 @@ def surroundings() -> str:
     return f"Python {platform.python_version()}, {os.cpu_count()} cores, {', '.join(found)}."
 
 
-def write(text: str, page: Path = PAGE) -> None:
-    """Put a text in the place of what the page said before."""
-    before, _, rest = page.read_text(encoding="utf-8").partition(BEGIN)
-    _, _, after = rest.partition(END)
-    page.write_text(f"{before}{BEGIN}{text}{END}{after}", encoding="utf-8")
+def write(text: str, page: Path = PAGE, begin: str = BEGIN, end: str = END) -> None:
+    """Put a text in the place of what the page said before between two lines."""
+    before, _, rest = page.read_text(encoding="utf-8").partition(begin)
+    _, _, after = rest.partition(end)
+    page.write_text(f"{before}{begin}{text}{end}{after}", encoding="utf-8")
 
 
 def main() -> None:

@@ -21,7 +21,7 @@ from time import perf_counter
 import numpy as np
 from PIL import Image
 
-from benchmarks.__main__ import PAGE
+from benchmarks.__main__ import PAGE, write
 from magiclens.drawing.chart import Chart, ChartAxis, Curve
 
 REPOSITORY = Path(__file__).parents[1]
@@ -106,8 +106,7 @@ def main() -> None:
     text = table(costs)
     print(f"\n{text}")
     if options.write:
-        before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
-        PAGE.write_text(f"{before}{BEGIN}\n{text}\n{END}{rest.partition(END)[2]}", encoding="utf-8")
+        write(f"\n{text}\n", begin=BEGIN, end=END)
         draw(costs)
 
 
