@@ -45,7 +45,7 @@ def predict_view(
     inward = np.linalg.inv(np.where(np.isfinite(patches.shears), patches.shears, np.eye(2)))
     facets = IdealFacets(patches.landings_mm * flip, patches.maps * turn, patches.positions_mm * flip, inward * turn)
     per_mm = local.source.shape[1] / scene.lens.source_size_mm
-    seen = np.zeros((resolution, resolution, local.source.shape[2]), np.float32)
+    seen = np.empty((resolution, resolution, local.source.shape[2]), np.float32)
     in_threads(sample_ideal_picture, resolution, local.source, per_mm, facets, scene.lens.size_mm, samples, seen)
     return np.ascontiguousarray(np.rot90(seen, view.quarter_turns))
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magiclens.kernels.compiler import njit
-from magiclens.kernels.sampling import clamped_cell, rotated_grid, weighted_look_up
+from magiclens.kernels.sampling import clamped_cell, corner_weights, rotated_grid, weighted_sum
 from magiclens.kernels.uncounted import uncounted
 
 
@@ -64,22 +64,23 @@ def sample_ideal_picture(rows_of_picture, source, per_mm, facets, size, samples,
 
     Args:
         rows_of_picture: A ``LoopPart`` of the rows.
-        source: (H, W, C) float32, linear light.
+        source: (H, W, C) float32, linear light; C is 1 or 3.
         per_mm: Pixels of the source per mm.
         facets: What the facets show, see ``IdealFacets``.
         size: Side of the picture, mm.
         samples: Samples per side of a pixel.
-        out: (R, R, C) float32, zeros; rows are filled, and stay black where no light arrives.
+        out: (R, R, C) float32, whose rows are filled.
     """
     source, facets, out = uncounted(source), uncounted(facets), uncounted(out)
     rows, columns, channels = source.shape
-    resolution = len(out)
+    values, resolution = source.reshape(-1), len(out)
     pixel = size / resolution
-    places = np.zeros((samples * samples, 2))
+    share, places = 1 / samples**2, np.zeros((samples * samples, 2))
     for k in range(samples * samples):
         places[k] = rotated_grid(k, samples)
     for r in range(rows_of_picture.first, rows_of_picture.end):
         for c in range(resolution):
+            red = green = blue = np.float32(0)
             for k in range(samples * samples):
                 right, down = places[k, 0], places[k, 1]
                 i, j, u, v = _visible_facet(facets, size, (c + right) * pixel, (r + down) * pixel)
@@ -91,5 +92,13 @@ def sample_ideal_picture(rows_of_picture, source, per_mm, facets, size, samples,
                 if not (-0.5 <= sx <= columns - 0.5 and -0.5 <= sy <= rows - 0.5):
                     continue  # beside the source it is dark
                 ix, iy, fx, fy = clamped_cell(sx, sy, columns, rows)
-                for ch in range(channels):
-                    out[r, c, ch] += weighted_look_up(source, iy, ix, ch, fx, fy) / (samples * samples)
+                weights = corner_weights(share, fx, fy)
+                upper = (iy * columns + ix) * channels
+                lower = upper + columns * channels
+                red += weighted_sum(values, upper, lower, channels, weights)
+                if channels == 3:
+                    green += weighted_sum(values, upper + 1, lower + 1, channels, weights)
+                    blue += weighted_sum(values, upper + 2, lower + 2, channels, weights)
+            out[r, c, 0] = red
+            if channels == 3:
+                out[r, c, 1], out[r, c, 2] = green, blue

@@ -46,18 +46,37 @@ def blend(upper, lower, fx, fy):
 
 
 @njit(inline="always")
-def weighted_look_up(image, row, column, channel, fx, fy):
-    """Bilinear mean of an image, as a sum of weighted pixels, rounded like the weights of a sparse matrix.
+def corner_weights(weight, fx, fy):
+    """How much of a weight each of four pixels gets, bilinearly: upper left, upper right, lower left, lower right.
 
     Args:
-        image: (H, W, C).
-        row, column: of the upper left of four pixels.
-        channel: of the image.
+        weight: of their mean.
         fx, fy: how far right and how far down the point lies, from 0 to 1.
     """
-    top = image[row, column, channel] * (1 - fx) + image[row, column + 1, channel] * fx
-    low = image[row + 1, column, channel] * (1 - fx) + image[row + 1, column + 1, channel] * fx
-    return top * (1 - fy) + low * fy
+    low = weight * fy
+    high = weight - low
+    upper_right, lower_right = high * fx, low * fx
+    return (
+        np.float32(high - upper_right),
+        np.float32(upper_right),
+        np.float32(low - lower_right),
+        np.float32(lower_right),
+    )
+
+
+@njit(inline="always")
+def weighted_sum(values, upper, lower, channels, weights):
+    """Sum of four weighted pixels in one channel.
+
+    Args:
+        values: of an image, (H, W, C) as (H * W * C,).
+        upper: index of the upper left value.
+        lower: index of the one below.
+        channels: of the image.
+        weights: as of ``corner_weights``.
+    """
+    top = weights[0] * values[upper] + weights[1] * values[upper + channels]
+    return top + weights[2] * values[lower] + weights[3] * values[lower + channels]
 
 
 @njit(cache=True, fastmath=True)

@@ -10,7 +10,7 @@ import numpy as np
 
 from magiclens.contract.artifacts import FloatArray, IntArray
 from magiclens.kernels.compiler import njit
-from magiclens.kernels.sampling import clamped_cell, weighted_look_up
+from magiclens.kernels.sampling import clamped_cell, corner_weights, weighted_sum
 from magiclens.kernels.threads import in_threads
 from magiclens.kernels.uncounted import uncounted
 
@@ -27,21 +27,29 @@ def _on_raster(x, y, shape, per_mm):
 
 @njit(cache=True, nogil=True)
 def _average_part(part, hits, source, per_mm, out):
-    """Part of the rows, see ``average_samples``."""
+    """Part of the rows, see ``average_samples``; sums stay in registers, which loops over channels would not allow."""
     hits, source, out = uncounted(hits), uncounted(source), uncounted(out)
     rows, columns, channels = source.shape
+    values = source.reshape(-1)
     _, width, samples, _ = hits.shape
     for i in range(part.first, part.end):
         for j in range(width):
+            red = green = blue = np.float32(0)
             for k in range(samples):
-                weight = hits[i, j, k, 2] / samples
-                if weight == 0.0:
-                    continue
+                weight = hits[i, j, k, 2] / np.float32(samples)
                 inside, ix, iy, fx, fy = _on_raster(hits[i, j, k, 0], hits[i, j, k, 1], (rows, columns), per_mm)
-                if not inside:
+                if weight == 0.0 or not inside:
                     continue
-                for ch in range(channels):
-                    out[i, j, ch] += weight * weighted_look_up(source, iy, ix, ch, fx, fy)
+                weights = corner_weights(weight, fx, fy)
+                upper = (iy * columns + ix) * channels
+                lower = upper + columns * channels
+                red += weighted_sum(values, upper, lower, channels, weights)
+                if channels == 3:
+                    green += weighted_sum(values, upper + 1, lower + 1, channels, weights)
+                    blue += weighted_sum(values, upper + 2, lower + 2, channels, weights)
+            out[i, j, 0] = red
+            if channels == 3:
+                out[i, j, 1], out[i, j, 2] = green, blue
 
 
 def average_samples(hits: FloatArray, source: FloatArray, per_mm: float) -> FloatArray:
@@ -49,13 +57,13 @@ def average_samples(hits: FloatArray, source: FloatArray, per_mm: float) -> Floa
 
     Args:
         hits: (R, R, S, 3) float32 source point x, y, mm, and transmission of every sample; lens frame.
-        source: (H, W, C) float32 linear light, lens frame.
+        source: (H, W, C) float32 linear light, lens frame; C is 1 or 3.
         per_mm: source pixels per mm.
 
     Returns:
         (R, R, C) float32 linear light.
     """
-    out = np.zeros((*hits.shape[:2], source.shape[2]), np.float32)
+    out = np.empty((*hits.shape[:2], source.shape[2]), np.float32)
     in_threads(_average_part, len(out), hits, source, per_mm, out)
     return out
 
