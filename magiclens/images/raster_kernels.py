@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from math import ceil, floor
 
-import numpy as np
-
 from magiclens.kernels.compiler import njit
 
 
@@ -54,7 +52,7 @@ def _add_edge(x0, y0, x1, y1, way, cover):
     if y0 == y1:
         return
     slope = (x1 - x0) / (y1 - y0)
-    for row in range(max(int(floor(y0)), 0), min(int(ceil(y1)), rows)):
+    for row in range(max(floor(y0), 0), min(ceil(y1), rows)):
         top, bottom = max(float(row), y0), min(row + 1.0, y1)
         left, right = x0 + (top - y0) * slope, x0 + (bottom - y0) * slope
         if left > right:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from magiclens.contract.artifacts import FloatArray, IntArray, Lens, View
+from magiclens.contract.artifacts import FloatArray, Lens, View
 from magiclens.images import resize
 from magiclens.images.score import best_exposure_psnr_db
 from magiclens.preflight.finding import Finding, Status
@@ -96,14 +96,12 @@ def light_in_pixels(traced: TracedTriangles, lens: Lens, view: View) -> FloatArr
     Returns:
         (C + 1, S * S) sums of linear light times area, and of areas, mm^2.
     """
-    source, scale, side = view.source, view.source.shape[1] / lens.source_size_mm, coarse_side(lens)
-    # rows go down and y goes up, hence the minus of y and v
-    rows, columns = (_pixels(x * scale, n) for x, n in ((-traced.y, len(source)), (traced.x, source.shape[1])))
-    down, right = (_pixels(x * side / lens.size_mm, side) for x in (-traced.v, traced.u))
-    area = traced.area * (np.maximum(abs(traced.u), abs(traced.v)) <= lens.size_mm / 2)
-    lit = area * traced.through * (np.maximum(abs(traced.x), abs(traced.y)) <= lens.source_size_mm / 2)
-    weights = [*(source[rows, columns].T * lit), area]
-    return np.array([np.bincount(down * side + right, weight, side * side) for weight in weights])
+    from magiclens.preflight.triangles_kernels import throw_light
+
+    side = coarse_side(lens)
+    light = np.zeros((side * side, view.source.shape[2] + 1))
+    throw_light(traced, view.source, (lens.source_size_mm, lens.size_mm), side, light)
+    return light.T
 
 
 def picture_of_light(light: FloatArray) -> FloatArray:
@@ -137,8 +135,3 @@ def check_colours(views: Sequence[View]) -> list[Finding]:
 def _mean_psnr_db(pictures: Sequence[FloatArray], targets: Sequence[FloatArray]) -> float:
     pairs = zip(pictures, targets, strict=True)
     return float(np.mean([best_exposure_psnr_db(picture, target) for picture, target in pairs]))
-
-
-def _pixels(positions: FloatArray, count: int) -> IntArray:
-    """Indices of the pixels, of ``count`` along an axis, that positions lie in; positions count from the middle."""
-    return np.asarray(np.clip((positions + count / 2).astype(int), 0, count - 1))

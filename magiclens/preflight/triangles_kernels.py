@@ -98,3 +98,37 @@ def trace_middles(triangles: FloatArray, eye: FloatArray, thickness: float, gap:
     traced = TracedTriangles(*np.zeros((7, len(triangles))))
     _trace(triangles, eye, thickness, gap, ior, traced)
     return traced
+
+
+@njit(cache=True, nogil=True)
+def throw_light(traced, source, sizes, side, light):
+    """Add every triangle's light to the pixel of a picture in which its middle is seen, see ``light_in_pixels``.
+
+    Args:
+        traced: What the eye sees of the triangles.
+        source: (H, W, C) linear light.
+        sizes: Sides of the source and of the picture, mm.
+        side: S, pixels along the picture's side.
+        light: (S * S, C + 1), which is added to: sums of linear light times area, and of areas, mm^2.
+    """
+    u, v, areas, _, x, y, through = traced
+    rows, columns, channels = source.shape
+    scale, half_source, half = columns / sizes[0], sizes[0] / 2, sizes[1] / 2
+    for f in range(len(u)):
+        area = areas[f]
+        if area == 0.0 or max(abs(u[f]), abs(v[f])) > half:
+            continue
+        # rows go down and v goes up, hence its minus
+        pixel = _pixel(-v[f] * side / sizes[1], side) * side + _pixel(u[f] * side / sizes[1], side)
+        light[pixel, channels] += area
+        if through[f] == 0.0 or max(abs(x[f]), abs(y[f])) > half_source:
+            continue
+        row, column = _pixel(-y[f] * scale, rows), _pixel(x[f] * scale, columns)
+        for k in range(channels):
+            light[pixel, k] += source[row, column, k] * area * through[f]
+
+
+@njit(cache=True, forceinline=True)
+def _pixel(position, count):
+    """The pixel, of ``count`` along an axis, that a position from the middle lies in."""
+    return min(max(int(position + 0.5 * count), 0), count - 1)
