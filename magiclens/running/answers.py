@@ -88,7 +88,7 @@ class Questions:
         return [answer for answer in answers if answer]
 
     def draw(self, answers: Sequence[Answer], metrics: Mapping[str, float | None]) -> list[str]:
-        """Draw the figures of answers, and write them.
+        """Draw the figures of answers, and write them; some at a time if no plugin draws.
 
         Args:
             answers: What the analyses have found.
@@ -97,8 +97,12 @@ class Questions:
         Returns:
             The figures as blocks of the report's page, in order.
         """
+        from magiclens.kernels.threads import side_by_side
+
         shown = Kept(None, lambda: replace(self.result, manifest={"metrics": metrics}))
-        return [block for answer in answers for block in self._blocks(answer, metrics, shown)]
+        ours = all(answer.planned.plugin.built_in for answer in answers)
+        blocks = (side_by_side if ours else map)(partial(self._blocks, metrics, shown), answers)
+        return [block for of_answer in blocks for block in of_answer]
 
     def preflight(self, facts: dict[str, Any]) -> None:
         """Check what was exported, if it is a mesh, and write the preflight's page.
@@ -154,7 +158,7 @@ class Questions:
                 raise BadArtifact(f"it found a {type(findings).__name__} instead of Findings")
             return findings
 
-    def _blocks(self, answer: Answer, metrics: Mapping[str, float | None], shown: Kept[RunResult]) -> list[str]:
+    def _blocks(self, metrics: Mapping[str, float | None], shown: Kept[RunResult], answer: Answer) -> list[str]:
         from magiclens.report.write import write_figure
 
         def draw(folder: Path) -> list[str]:
