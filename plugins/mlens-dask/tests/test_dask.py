@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import signal
@@ -10,17 +11,18 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import redirect_stderr
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import dask
 import numpy as np
 import psutil
 import pytest
-from distributed import LocalCluster
+from distributed import Client, LocalCluster
 from mlens_dask.executor import Dask
 from mlens_dask.matcher import Blocks
 from typer.testing import CliRunner
@@ -37,6 +39,8 @@ pipeline:
 report: {analyses: []}
 """
 SWEEP = ["--set", "lens.facets=2,3,4"]
+
+_Seen = TypeVar("_Seen")
 
 
 @pytest.fixture(scope="module")
@@ -155,11 +159,18 @@ class Programs:
         self.scheduler = self.started_scheduler()
 
     def kill_a_worker(self) -> None:
-        """Kill a worker, not who starts it again."""
-        # sh, the nanny, its worker
-        nanny = psutil.Process(self.workers[0].pid).children()[0]
-        for process in [nanny, *nanny.children(recursive=True)]:
-            process.kill()
+        """Kill a worker that is at work, not who starts it again; return when the scheduler knows."""
+        with Client(self.address) as client:
+            address = waited_for(lambda: next((at for at, keys in client.processing().items() if keys), None))
+            worker = psutil.Process(client.run(os.getpid, workers=[address])[address])
+            for process in (worker.parent(), worker):  # its nanny would start it again, too
+                process.kill()
+            waited_for(lambda: address not in client.processing())
+
+    def kill_both(self) -> None:
+        """Kill a worker that is at work, and the scheduler while others are, or while all that is left waits."""
+        self.kill_a_worker()
+        self.kill_scheduler()
 
     def end(self) -> None:
         for session in self.workers:
@@ -176,21 +187,22 @@ def programs() -> Iterator[Programs]:
     started.end()
 
 
-def scaled(factor: Any, block: Any) -> Any:
-    """A slow one whose results are arrays."""
-    time.sleep(0.4)
+def scaled(given: tuple[Any, Path], block: Any) -> Any:
+    """A multiple of a block of numbers; from the third block on, not before a file is there."""
+    factor, gate = given
+    while block[0] > 1 and not gate.exists():
+        time.sleep(0.01)
     return factor[0] * block
 
 
-@contextmanager
-def soon(seconds: float, what: Any) -> Iterator[None]:
-    """Do something so many seconds after the block has begun."""
-    timer = threading.Timer(seconds, what)
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.join()
+def waited_for(what: Callable[[], _Seen | None]) -> _Seen:
+    """What a function returns as soon as that is something."""
+    limit = time.monotonic() + 120
+    while time.monotonic() < limit:
+        if found := what():
+            return found
+        time.sleep(0.01)
+    raise TimeoutError
 
 
 def environment(_: int) -> str | None:
@@ -219,8 +231,11 @@ def test_what_a_killed_worker_had_is_done_by_others(tmp_path: Path) -> None:
 
 
 def test_an_item_that_kills_every_worker_is_given_up_and_stops_no_other() -> None:
-    # Dask closes lost workers: so soon after a loss, that would hit each one that is just being started again
-    with dask.config.set({"distributed.deploy.lost-worker-timeout": "0.3s"}):
+    # Dask closes lost workers: so soon after a loss, that would hit each one that is just being started again. It gives
+    # an item up after the first death here, and not after the fourth
+    with dask.config.set(
+        {"distributed.deploy.lost-worker-timeout": "0.3s", "distributed.scheduler.allowed-failures": 0}
+    ):
         results = list(Dask(workers=1, wait_s=60).map(deadly, range(3)))
     assert (results[0], results[2]) == (0, 2)
     assert isinstance(results[1], StageError)
@@ -228,27 +243,30 @@ def test_an_item_that_kills_every_worker_is_given_up_and_stops_no_other() -> Non
 
 
 @pytest.mark.parametrize("victim", ["scheduler", "worker", "both"])
-def test_arrays_are_found_again_when_the_scheduler_or_a_worker_is_killed(programs: Programs, victim: str) -> None:
-    factor, blocks = np.full(100_000, 3.0), [np.full(1000, float(k)) for k in range(8)]
-    kill = {"scheduler": [programs.kill_scheduler], "worker": [programs.kill_a_worker]}
-    with Dask(address=programs.address, wait_s=120).spreader() as cluster, ExitStack() as killing:
-        before = list(cluster.map(scaled, factor, blocks[:2]))  # what all items share is on the workers now
-        for kill_it in kill.get(victim) or [*kill["scheduler"], *kill["worker"]]:
-            killing.enter_context(soon(1.2, kill_it))
-        found = list(cluster.map(scaled, factor, blocks))
-        killing.close()
-        after = list(cluster.map(scaled, factor, blocks[:2]))
+def test_arrays_are_found_again_when_the_scheduler_or_a_worker_is_killed(
+    programs: Programs, victim: str, tmp_path: Path
+) -> None:
+    given, blocks = (np.full(100_000, 3.0), tmp_path / "gate"), [np.full(1000, float(k)) for k in range(6)]
+    kill = {"scheduler": programs.kill_scheduler, "worker": programs.kill_a_worker, "both": programs.kill_both}[victim]
+    with Dask(address=programs.address, wait_s=120).spreader() as cluster:
+        before = list(cluster.map(scaled, given, blocks[:2]))  # what all items share is on the workers now
+        results = cluster.map(scaled, given, blocks)
+        found = [next(results), next(results)]
+        kill()  # the next blocks are under way
+        (tmp_path / "gate").touch()
+        found += results
+        after = list(cluster.map(scaled, given, blocks[:2]))
     assert [block.tobytes() for block in found] == [(3 * block).tobytes() for block in blocks]
     assert [block.tobytes() for block in (*before, *after)] == [(3 * block).tobytes() for block in blocks[:2]] * 2
 
 
-def test_the_scheduler_passes_on_no_arrays(idle: LocalCluster) -> None:
+def test_the_scheduler_passes_on_no_arrays(idle: LocalCluster, tmp_path: Path) -> None:
     idle.scale(2)
     asked: list[str] = []
     for name in ("scatter", "gather"):  # by which others send and get data through a scheduler
         idle.scheduler.handlers[name] = lambda name=name, **_: asked.append(name)
     with Dask(address=idle.scheduler_address).spreader() as cluster:
-        found = list(cluster.map(scaled, np.full(1000, 2.0), [np.ones(1000), np.ones(1000)]))
+        found = list(cluster.map(scaled, (np.full(1000, 2.0), tmp_path), [np.ones(1000), np.ones(1000)]))
     assert [block.tobytes() for block in found] == [np.full(1000, 2.0).tobytes()] * 2
     assert asked == []
 
@@ -257,7 +275,8 @@ def test_workers_of_our_own_have_the_threads_asked_for() -> None:
     assert list(Dask(workers=1, threads=3).map(environment, range(1))) == ["3"]
 
 
-def test_a_scheduler_that_is_not_there_is_named() -> None:
+def test_a_scheduler_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mlens_dask.cluster.TIMEOUT_S", 0.5)
     with pytest.raises(InputError, match=r"address: no scheduler answers at 'tcp://127.0.0.1:1'"):
         list(Dask(address="tcp://127.0.0.1:1").map(square, range(2)))
 
@@ -276,10 +295,23 @@ def test_a_sweep_without_workers_says_how_to_start_one_and_ends_with_2(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_worker_that_comes_late_does_the_work(idle: LocalCluster, capfd: pytest.CaptureFixture[str]) -> None:
-    threading.Timer(1, idle.scale, [1]).start()
-    assert list(Dask(address=idle.scheduler_address).map(square, range(3))) == [0, 1, 4]
-    assert capfd.readouterr().err.count("has no worker") == 1
+class Listener(io.StringIO):
+    """The screen of a user who starts a worker when there is none."""
+
+    def __init__(self, cluster: LocalCluster):
+        super().__init__()
+        self.cluster = cluster
+
+    def write(self, text: str) -> int:
+        if "has no worker" in text:
+            self.cluster.scale(1)
+        return super().write(text)
+
+
+def test_a_worker_that_comes_late_does_the_work(idle: LocalCluster) -> None:
+    with redirect_stderr(Listener(idle)) as screen:
+        assert list(Dask(address=idle.scheduler_address).map(square, range(3))) == [0, 1, 4]
+    assert screen.getvalue().count("has no worker") == 1
 
 
 def test_a_list_whose_last_worker_has_gone_does_not_wait_for_ever(idle: LocalCluster) -> None:
@@ -292,18 +324,11 @@ def test_a_list_whose_last_worker_has_gone_does_not_wait_for_ever(idle: LocalClu
         list(results)
 
 
-def test_a_sweep_on_two_workers_writes_the_same_bytes_as_serial(
-    spec: Path, serial: dict[str, bytes], tmp_path: Path
-) -> None:
-    found = swept(spec, tmp_path / "out", "--executor", "dask", "--executor-set", "workers=2")
-    assert len([name for name in serial if name.endswith("manifest.json")]) == 3
-    assert found == serial
-
-
 def test_a_sweep_on_a_scheduler_that_is_running_writes_the_same_bytes(
     spec: Path, serial: dict[str, bytes], scheduler: str, tmp_path: Path
 ) -> None:
     found = swept(spec, tmp_path / "out", "--executor", "dask", "--executor-set", f"address={scheduler}")
+    assert len([name for name in serial if name.endswith("manifest.json")]) == 3
     assert found == serial
 
 
@@ -376,9 +401,11 @@ def test_a_lens_is_the_same_when_a_worker_and_the_scheduler_are_killed_in_mid_ru
     command = ["run", str(spec), "--set", matcher, "--set", "lens.facets=16", "--quiet", "--out"]
     assert CliRunner().invoke(app, [*command, str(tmp_path / "a" / "alone")]).exit_code == 0
     spreading = ["--executor", "dask", "--executor-set", f"address={programs.address}"]
-    with soon(1.5, programs.kill_a_worker), soon(2.5, programs.kill_scheduler):
+    with ThreadPoolExecutor(1) as killer:
+        killed = killer.submit(programs.kill_both)
         done = CliRunner().invoke(app, [*command, str(tmp_path / "b" / "alone"), *spreading])
     assert done.exit_code == 0, done.output
+    assert killed.exception() is None
     assert "does not answer; what was under way begins again" in done.stderr
     assert contents(tmp_path / "b") == contents(tmp_path / "a")
 

@@ -20,8 +20,8 @@ _Given = TypeVar("_Given")
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 
-_TIMEOUT = "10s"
-"""Longest time that a scheduler may take to answer."""
+TIMEOUT_S = 10.0
+"""Longest time that a scheduler may take to answer, in seconds."""
 PATIENCE_S = 5.0
 """Seconds without any worker after which the user is told how to start one, and between two looks for workers."""
 _MOST_DEATHS = 4
@@ -157,7 +157,7 @@ class Cluster:
         from distributed import Client
 
         # by default, the scheduler would pass on what is sent and found
-        return Client(self._address, timeout=_TIMEOUT, direct_to_workers=True)
+        return Client(self._address, timeout=TIMEOUT_S, direct_to_workers=True)
 
     def _named(self) -> object:
         """The name of the scheduler, which another one does not have; None without a connection."""
