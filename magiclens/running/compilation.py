@@ -254,10 +254,12 @@ def _analyse(plan: Plan, scene: Scene) -> None:
 
 
 def _inspect(plan: Plan, scene: Scene) -> None:
+    from magiclens.preflight.picture import light_in_pixels
     from magiclens.preflight.triangles import trace_triangles
 
-    solid = _solid(scene)
-    trace_triangles(solid.vertices.astype(np.float32)[solid.faces], scene.lens, scene.views[0].eye_mm)
+    solid, view = _solid(scene), scene.views[0]
+    traced = trace_triangles(solid.vertices.astype(np.float32)[solid.faces], scene.lens, view.eye_mm)
+    light_in_pixels(traced, scene.lens, view)
 
 
 _PARTS: dict[str, Callable[[Plan, Scene], None]] = {
