@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq, minimize_scalar
 
-from magiclens.contract.artifacts import FloatArray, Lens, Scene
+from magiclens.annealing.heat_bath_kernels import heat_bath_sweep, tabulate
+from magiclens.contract.artifacts import FloatArray, IntArray, Lens, Scene
 from magiclens.geometry.facets import EDGE_POINTS, central_slopes, cost_of_lost_light, edge_models
 from magiclens.integration.orientation_kernels import rises_along_edges
 from magiclens.integration.poisson import lenslets
@@ -27,13 +28,11 @@ from magiclens.optics.walls import (
     UP,
     Edges,
     EnergyTerms,
-    _bisect,
-    _fill_lane,
-    _room,
     best_height,
-    heat_bath_sweep,
+    levels_sweep,
+    settle_levels,
     surroundings,
-    total_energy,
+    wall_energies,
 )
 from scenes import ABOVE, DISTANCE, IOR, THICK, blank_scene, grey_view, small_lens
 
@@ -260,10 +259,30 @@ def test_the_heat_bath_draws_candidates_by_their_energy() -> None:
     for die in (np.arange(count) + 0.5) / count:
         choice, heights = np.zeros((1, 1), np.int64), np.zeros((1, 1))
         terms, dice = EnergyTerms(1.0, 1.0, 0.0, 1.0), np.array([[die]])
-        heat_bath_sweep(choice, heights, errors, Edges(flat, flat), terms, 2.0, temperature, dice)
+        heat_bath_sweep(choice, heights, tabulate(errors, Edges(flat, flat), 2.0), terms, temperature, dice)
         drawn.append(int(choice[0, 0]))
     likely = np.exp(-errors[0, 0] / temperature)
     assert np.bincount(drawn, minlength=4) == pytest.approx(count * likely / likely.sum(), abs=1.5)
+
+
+def cold_sweep(choice: IntArray, heights: FloatArray, table: FloatArray, terms: EnergyTerms) -> None:
+    """All facets take their best candidates."""
+    heat_bath_sweep(choice, heights, table, terms, 0.0, np.zeros(choice.shape))
+
+
+def chosen(choice: IntArray, edges: Edges) -> Edges:
+    """The edges of the candidates that facets take."""
+    i, j = np.indices(choice.shape)
+    return Edges(edges.profiles[i, j, choice], edges.drifts[i, j, choice])
+
+
+def total_energy(
+    choice: IntArray, heights: FloatArray, errors: FloatArray, edges: Edges, terms: EnergyTerms
+) -> FloatArray:  # fmt: skip
+    """(3,) image error, lost light and the even part, summed over the lens."""
+    i, j = np.indices(choice.shape)
+    light, even = wall_energies(heights, chosen(choice, edges), terms).sum(axis=(0, 1))
+    return np.array([errors[i, j, choice].sum(), light, even])
 
 
 def test_the_heat_bath_leaves_out_candidates_that_rise_beyond_the_relief() -> None:
@@ -272,11 +291,10 @@ def test_the_heat_bath_leaves_out_candidates_that_rise_beyond_the_relief() -> No
     choice, heights = np.zeros((1, 1), np.int64), np.full((1, 1), 0.7)
     edges, terms = Edges(profiles, np.zeros_like(profiles)), EnergyTerms(1.0, 1.0, 0.0, 1.0)
     errors = np.array([[[0.1, 0.2]]])
-    moved = heat_bath_sweep(choice, heights, errors, edges, terms, 2.0, 0.0, np.zeros((1, 1)))
+    cold_sweep(choice, heights, tabulate(errors, edges, 2.0), terms)
     assert choice[0, 0] == 1
     assert heights[0, 0] == pytest.approx(0.0, abs=1e-4)
-    assert moved == pytest.approx(0.7, abs=1e-4)
-    heat_bath_sweep(choice, heights, errors, edges, terms, 2.2, 0.0, np.zeros((1, 1)))
+    cold_sweep(choice, heights, tabulate(errors, edges, 2.2), terms)
     assert choice[0, 0] == 0
 
 
@@ -288,7 +306,7 @@ def test_the_energy_of_a_lens_changes_as_a_facets_own_cost_does() -> None:
     choice, heights = rng.integers(0, 2, (n, n)), rng.uniform(-1, 1, (n, n))
     around = np.zeros((4, EDGE_POINTS + 1, 2))
     for i, j in np.ndindex(n, n):
-        surroundings(i, j, choice, heights, edges, around)
+        surroundings(i, j, heights, chosen(choice, edges), around)
         facet, costs = (Edges(profiles[i, j, choice[i, j]], drifts[i, j, choice[i, j]]), around.copy()), []
         for height in (0.4, -0.6):
             moved = heights.copy()
@@ -391,27 +409,72 @@ def test_a_facet_is_pulled_to_the_reference_plane_as_much_as_screening_weighs(sc
     assert height == pytest.approx(2 / (2 + screening), abs=1e-4)
 
 
-def test_a_sweep_tells_the_greatest_change_of_a_height() -> None:
-    flat, heights = np.zeros((2, 2, 1, 4, EDGE_POINTS), np.float32), np.array([[0.2, 1.0], [1.0, 1.0]])
-    terms, errors = EnergyTerms(1.0, 1.0, 1.0, 0.0), np.zeros((2, 2, 1))
-    moved = heat_bath_sweep(
-        np.zeros((2, 2), np.int64), heights, errors, Edges(flat, flat), terms, 2.0, 0.0, np.zeros((2, 2))
-    )
-    assert moved == pytest.approx(0.8, abs=1e-3)
+def test_a_facet_is_moved_to_its_neighbours() -> None:
+    flat, heights = np.zeros((2, 2, 4, EDGE_POINTS), np.float32), np.array([[0.2, 1.0], [1.0, 1.0]])
+    terms = EnergyTerms(1.0, 1.0, 1.0, 0.0)
+    levels_sweep(heights, Edges(flat, flat), terms, 2.0, (1, 0, 0))
     np.testing.assert_allclose(heights, 1.0, atol=1e-3)
 
 
-def test_heights_sought_side_by_side_are_those_sought_one_by_one() -> None:
-    """Bit by bit: which candidates are weighed together must make no difference."""
-    rng, terms, reach = np.random.default_rng(5), EnergyTerms(1.0, 1.5, 0.02, 1e-4), 1.5
-    facets, lanes = [random_facet(rng) for _ in range(9)], _room(EDGE_POINTS, 9)
-    around = facets[0][1]
-    around[2] = np.nan
-    for m, (own, _) in enumerate(facets):
-        _fill_lane(lanes, m, own, terms, reach)
-    _bisect(lanes, 9, around, terms)
-    assert lanes.height.tolist() == [best_height(own, around, terms, -reach, reach)[0] for own, _ in facets]
-    assert len(set(lanes.height.tolist())) == 9
+@pytest.mark.parametrize("squares", [(2, 0, 0), (3, 1, 2), (4, 3, 0), (1, 0, 0)])
+def test_squares_of_facets_are_moved_to_where_they_cost_least(squares: tuple[int, int, int]) -> None:
+    """The energy falls, and no square that moves alone could lower it further at once."""
+    choice, heights, errors, edges = random_lens(np.random.default_rng(1), 7, 2)
+    terms, before = EnergyTerms(0.5, 1.5, 0.02, 1e-2), heights.copy()
+    costs = [total_energy(choice, heights, errors, edges, terms).sum()]
+    for _ in range(12):
+        levels_sweep(heights, chosen(choice, edges), terms, 9.0, squares)
+        costs.append(total_energy(choice, heights, errors, edges, terms).sum())
+    assert (np.diff(costs) < 1e-6).all()
+    side, cut_rows, cut_columns = squares
+    rows, columns = (np.arange(7) + cut_rows) // side, (np.arange(7) + cut_columns) // side
+    for block in ((0, 0), (1, 1), (1, 0)):
+        inside = (rows == block[0])[:, None] & (columns == block[1])
+        assert np.ptp((heights - before)[inside]) < 1e-12
+        for rise in (0.02, -0.02):
+            assert total_energy(choice, heights + rise * inside, errors, edges, terms).sum() > costs[-1] - 1e-6
+
+
+def test_squares_of_many_sizes_find_lower_levels_than_single_facets() -> None:
+    choice, heights, errors, edges = random_lens(np.random.default_rng(2), 12, 1)
+    terms, alone = EnergyTerms(0.5, 1.5, 0.002, 1e-5), heights.copy()
+    for turn in range(10):
+        settle_levels(heights, chosen(choice, edges), terms, 3.0, turn)
+    for _ in range(100):
+        levels_sweep(alone, chosen(choice, edges), terms, 3.0, (1, 0, 0))
+    settled, single = (total_energy(choice, h, errors, edges, terms).sum() for h in (heights, alone))
+    assert settled < single
+
+
+def test_no_square_leaves_the_relief() -> None:
+    choice, heights, _, edges = random_lens(np.random.default_rng(4), 6, 1)
+    settle_levels(heights, chosen(choice, edges), EnergyTerms(0.5, 1.5, 0.02, 0.0), 1.6, 0)
+    assert (np.abs(heights) + np.abs(edges.profiles[:, :, 0]).max(axis=(2, 3)) <= 1.6 + 1e-9).all()
+
+
+def random_lens(rng: np.random.Generator, n: int, labels: int) -> tuple[Any, ...]:
+    """Choice, heights, errors and edges."""
+    points = (n, n, labels, 4, EDGE_POINTS)
+    drifts = np.broadcast_to(rng.uniform(0, 0.4, (*points[:-1], 1)), points).astype(np.float32)
+    edges = Edges(rng.uniform(-0.5, 0.5, points).astype(np.float32), drifts)
+    errors = rng.uniform(0, 0.1, (n, n, labels))
+    return rng.integers(0, labels, (n, n)), rng.uniform(-1, 1, (n, n)), errors, edges
+
+
+@pytest.mark.parametrize("labels", [1, 16, 37])
+def test_candidates_weighed_side_by_side_cost_what_each_costs_by_itself(labels: int) -> None:
+    """The upper left facet draws first. Whichever candidate is the best of those left, it is taken at its height."""
+    choice, heights, errors, edges = random_lens(np.random.default_rng(5), 3, labels)
+    terms, around = EnergyTerms(0.5, 1.5, 0.02, 1e-4), np.zeros((4, EDGE_POINTS + 1, 2))
+    surroundings(0, 0, heights, chosen(choice, edges), around)
+    found = [best_height(Edges(*(a[0, 0, k] for a in edges)), around, terms, -1.5, 1.5) for k in range(labels)]
+    costs = np.array([cost for _, cost in found]) + errors[0, 0]
+    for best in costs.argsort():
+        drawn, levels = choice.copy(), heights.copy()
+        cold_sweep(drawn, levels, tabulate(errors, edges, 2.0), terms)
+        assert drawn[0, 0] == best
+        assert levels[0, 0] == pytest.approx(found[best][0], abs=1e-3)
+        errors[0, 0, best] = np.inf
 
 
 def test_a_facet_is_put_within_its_bounds() -> None:
@@ -423,15 +486,11 @@ def test_a_facet_is_put_within_its_bounds() -> None:
 @settings(max_examples=40)
 @given(st.integers(0, 2**32 - 1), st.integers(2, 5), st.integers(1, 4))
 def test_a_cold_sweep_never_raises_the_energy(seed: int, n: int, labels: int) -> None:
-    rng = np.random.default_rng(seed)
-    choice, heights = rng.integers(0, labels, (n, n)), rng.uniform(-1, 1, (n, n))
-    errors, points = rng.uniform(0, 0.1, (n, n, labels)), (n, n, labels, 4, EDGE_POINTS)
-    drifts = rng.uniform(0, 0.4, points).astype(np.float32)
-    profiles = rng.uniform(-0.5, 0.5, points).astype(np.float32)
-    edges, terms = Edges(profiles, drifts), EnergyTerms(0.3, 1.0, 0.02, 1e-4)
+    choice, heights, errors, edges = random_lens(np.random.default_rng(seed), n, labels)
+    terms, table = EnergyTerms(0.3, 1.0, 0.02, 1e-4), tabulate(errors, edges, 2.0)
     before = total_energy(choice, heights, errors, edges, terms).sum()
     for _ in range(3):
-        heat_bath_sweep(choice, heights, errors, edges, terms, 2.0, 0.0, np.zeros((n, n)))
+        cold_sweep(choice, heights, table, terms)
         after = total_energy(choice, heights, errors, edges, terms).sum()
         assert after <= before + 2e-5 * n**2
         before = after

@@ -8,12 +8,10 @@ from scipy.fft import dctn, idctn
 from magiclens.contract.artifacts import FloatArray, Scene
 from magiclens.geometry.facets import built_drifts, cost_of_lost_light
 from magiclens.integration.laplacian import cosines, divergence
-from magiclens.optics.walls import DOWN, LEFT, RIGHT, UP, Edges, EnergyTerms, heat_bath_sweep
+from magiclens.optics.walls import DOWN, LEFT, RIGHT, UP, Edges, EnergyTerms, settle_levels
 
-_SWEEPS = 60
-"""Sweeps of the coordinate descent over all facets, at most."""
-_SETTLED_MM = 1e-4
-"""A sweep that moves no facet by more than this is the last, mm."""
+_TURNS = 10
+"""Turns of the descent on the cost of walls."""
 _SCREENING = 1e-5
 """Pull of a facet toward the reference plane, per mm^2, where walls leave its level open."""
 _MOST_SCREENING = 1e9
@@ -62,15 +60,12 @@ def levels_of_least_lost_light(scene: Scene, shapes: FloatArray, levels: FloatAr
     Returns:
         (N, N) levels, mm. No facet that fits leaves the relief.
     """
-    lens, n = scene.lens, scene.lens.facets
-    edges = Edges(_edge_profiles(shapes), built_drifts(scene, shapes)[:, :, None])
-    # the annealer's sweep with a single candidate, no error of the picture and no temperature moves heights only
-    levels, choice, nothing = levels.copy(), np.zeros((n, n), np.int64), np.zeros((n, n))
+    lens = scene.lens
+    edges = Edges(_edge_profiles(shapes), built_drifts(scene, shapes))
+    levels = levels.copy()
     terms = EnergyTerms(cost_of_lost_light(scene), lens.pitch_mm, float(step_weight), _SCREENING)
-    for _ in range(_SWEEPS):
-        moved = heat_bath_sweep(choice, levels, nothing[..., None], edges, terms, lens.relief_mm, 0.0, nothing)
-        if moved < _SETTLED_MM:
-            break
+    for turn in range(_TURNS):
+        settle_levels(levels, edges, terms, lens.relief_mm, turn)
     return within_relief(shapes, levels, lens.relief_mm)
 
 
@@ -91,9 +86,9 @@ def within_relief(shapes: FloatArray, levels: FloatArray, relief: float) -> Floa
 
 
 def _edge_profiles(shapes: FloatArray) -> FloatArray:
-    """(N, N, 1, 4, k) float32: the edges of shapes (N, N, k, k), vertex by vertex, as in ``optics.walls``."""
-    edges = np.zeros((*shapes.shape[:2], 1, 4, shapes.shape[2]), np.float32)
+    """(N, N, 4, k) float32: the edges of shapes (N, N, k, k), vertex by vertex, as in ``optics.walls``."""
+    edges = np.zeros((*shapes.shape[:2], 4, shapes.shape[2]), np.float32)
     # points of upright edges run along +y, rows the other way
-    edges[:, :, 0, RIGHT], edges[:, :, 0, LEFT] = shapes[:, :, ::-1, -1], shapes[:, :, ::-1, 0]
-    edges[:, :, 0, UP], edges[:, :, 0, DOWN] = shapes[:, :, 0, :], shapes[:, :, -1, :]
+    edges[:, :, RIGHT], edges[:, :, LEFT] = shapes[:, :, ::-1, -1], shapes[:, :, ::-1, 0]
+    edges[:, :, UP], edges[:, :, DOWN] = shapes[:, :, 0, :], shapes[:, :, -1, :]
     return edges

@@ -22,7 +22,7 @@ class Poisson(Integrator):
     """Facets become smooth lenslets (one small Poisson problem each), then are raised or lowered until edges meet."""
 
     type: ClassVar[str] = "poisson"
-    version: ClassVar[str] = "5"
+    version: ClassVar[str] = "6"
 
     placement: Literal["light", "steps"] = Field(
         "light", description="facets' heights: least light lost at walls, or least squared steps (4.5)"

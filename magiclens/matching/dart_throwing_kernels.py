@@ -92,6 +92,15 @@ def _tallest(centre, offset, m, half, optics):
 
 
 @njit(cache=True)
+def _place(i, j, k, edges, placed):
+    """Note the edges of the label that a facet has; placed: (N, N, 4, Q)."""
+    for e in range(4):
+        for q in range(edges.profiles.shape[4]):
+            placed.profiles[i, j, e, q] = edges.profiles[i, j, k, e, q]
+            placed.drifts[i, j, e, q] = edges.drifts[i, j, k, e, q]
+
+
+@njit(cache=True)
 def draw_again(chosen, owner, labels, turns, dice, temperature, terms, relief):
     """Sweeps over all facets; each draws anew among the labels whose sub-region is free or its own, in place.
 
@@ -109,14 +118,18 @@ def draw_again(chosen, owner, labels, turns, dice, temperature, terms, relief):
     """
     regions, usable, edges = labels
     n = len(chosen)
-    heights = np.zeros((n, n))
-    around = np.zeros((4, edges.profiles.shape[4] + 1, 2))
+    heights, shape = np.zeros((n, n)), (n, n, 4, edges.profiles.shape[4])
+    placed = Edges(np.zeros(shape, np.float32), np.zeros(shape, np.float32))
+    for i in range(n):
+        for j in range(n):
+            _place(i, j, chosen[i, j], edges, placed)
+    around = np.zeros((4, shape[3] + 1, 2))
     energy, level = np.zeros(regions.shape[2]), np.zeros(regions.shape[2])
     for s in range(len(turns)):
         for t in range(n * n):
             f = turns[s, t]
             i, j = f // n, f % n
-            surroundings(i, j, chosen, heights, edges, around)
+            surroundings(i, j, heights, placed, around)
             for k in range(len(energy)):
                 energy[k] = np.inf
                 own = Edges(edges.profiles[i, j, k], edges.drifts[i, j, k])
@@ -129,6 +142,7 @@ def draw_again(chosen, owner, labels, turns, dice, temperature, terms, relief):
                 owner[regions[i, j, chosen[i, j]]] = -1
                 owner[regions[i, j, k]] = f
                 chosen[i, j], heights[i, j] = k, level[k]
+                _place(i, j, k, edges, placed)
 
 
 @njit(cache=True)

@@ -26,10 +26,13 @@ DOWNWARD, RIGHTWARD = (0, -1, 0, 1), (1, 0, -1, 0)
 """Rows and columns from a facet to its neighbour across each edge; to the diagonal facet, those of two edges."""
 
 
-_BISECTIONS = 18
-"""Halvings of the range of heights: to 4e-5 mm of 10 mm."""
-_FEW = 4
-"""So many candidates are not worth the trouble of looking for their heights side by side."""
+_DIVISIONS, _TRIED = 5, 8
+"""Divisions of the range between the lowest and the highest rise at which some point meets what faces it, and the rises
+that are tried in each, side by side: to 2e-5 of that range."""
+
+
+_GOLDEN = 0.618
+"""Multiples of it, less their whole parts, are spread evenly."""
 
 
 class Edges(NamedTuple):
@@ -68,40 +71,93 @@ def _corner(profile, drift, e):
     return 0.5 * (profile[e, p] + profile[f, q]), drift[e, p] * drift[f, q]
 
 
-@njit(cache=True)
-def _slope(c, own, corners, around, terms):
-    """Derivative of the energy of ``best_height`` at a height c; corners: (4, 2), see ``_corner``."""
-    points = own.profiles.shape[1]
-    width, area, even = terms.loss / terms.pitch, terms.loss / terms.pitch**2, terms.even
-    slope = 2.0 * terms.screening * c
-    for e in range(4):
-        if not np.isnan(around[e, 0, 0]):
-            for q in range(points):
-                step = own.profiles[e, q] + c - around[e, q, 0]
-                rate = width * own.drifts[e, q] if step > 0.0 else -width * around[e, q, 1]
-                slope += (rate + 2.0 * even * step) / points
-        if not np.isnan(around[e, points, 0]):
-            step = corners[e, 0] + c - around[e, points, 0]
-            slope += 2.0 * (area * (corners[e, 1] if step > 0.0 else around[e, points, 1])) * step
-    return slope
+class _Meetings(NamedTuple):
+    """Where points and corners of facets meet what faces them as the facets rise together, and what they cost then.
+
+    Args:
+        points, corners: (3, M) rises at which they meet it, mm; derivatives of the energy by the rise above and below
+            that, of corners by half its square.
+        counts: (2,) how many points and corners there are.
+        smooth: (2,) derivative of all else at no rise, and per mm.
+        bounds: (2,) between which the best rise is if nothing holds the facets, mm.
+        slopes: (_TRIED,) derivatives at the rises that are tried.
+    """
+
+    points: FloatArray
+    corners: FloatArray
+    counts: IntArray
+    smooth: FloatArray
+    bounds: FloatArray
+    slopes: FloatArray
 
 
 @njit(cache=True)
-def _cost(c, own, corners, around, terms):
-    """The energy of ``best_height`` at a height c; corners: (4, 2), see ``_corner``."""
+def _room(points, facets):
+    """Room for what as many facets meet."""
+    return _Meetings(
+        np.zeros((3, 4 * points * facets)), np.zeros((3, 4 * facets)),
+        np.zeros(2, np.int64), np.zeros(2), np.zeros(2), np.zeros(_TRIED),
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def _add_meetings(own, around, height, terms, meetings):
+    """Add what a facet meets from a height on; see ``best_height``."""
+    counts, smooth, bounds = meetings.counts, meetings.smooth, meetings.bounds
     points = own.profiles.shape[1]
-    width, area, even = terms.loss / terms.pitch, terms.loss / terms.pitch**2, terms.even
-    cost = terms.screening * c * c
+    width, area, even = terms.loss / terms.pitch / points, terms.loss / terms.pitch**2, 2.0 * terms.even / points
+    smooth[0] += 2.0 * terms.screening * height
+    smooth[1] += 2.0 * terms.screening
+    bounds[0], bounds[1] = min(bounds[0], -height), max(bounds[1], -height)
     for e in range(4):
         if not np.isnan(around[e, 0, 0]):
             for q in range(points):
-                step = own.profiles[e, q] + c - around[e, q, 0]
-                rate = width * own.drifts[e, q] if step > 0.0 else -width * around[e, q, 1]
-                cost += (rate * step + even * step * step) / points
+                rise, p = around[e, q, 0] - own.profiles[e, q] - height, counts[0]
+                meetings.points[0, p] = rise
+                meetings.points[1, p], meetings.points[2, p] = width * own.drifts[e, q], -width * around[e, q, 1]
+                smooth[0] -= even * rise
+                bounds[0], bounds[1] = min(bounds[0], rise), max(bounds[1], rise)
+                counts[0] += 1
+            smooth[1] += even * points
         if not np.isnan(around[e, points, 0]):
-            step = corners[e, 0] + c - around[e, points, 0]
-            cost += area * (corners[e, 1] if step > 0.0 else around[e, points, 1]) * step * step
-    return cost
+            corner, drift = _corner(own.profiles, own.drifts, e)
+            rise, p = around[e, points, 0] - corner - height, counts[1]
+            meetings.corners[0, p] = rise
+            meetings.corners[1, p], meetings.corners[2, p] = 2.0 * area * drift, 2.0 * area * around[e, points, 1]
+            bounds[0], bounds[1] = min(bounds[0], rise), max(bounds[1], rise)
+            counts[1] += 1
+
+
+@njit(cache=True)
+def _try_rises(low, step, meetings):
+    """Fill in the derivatives of the energy at ``low + step``, ``low + 2 step``, ..."""
+    slopes = meetings.slopes
+    for m in range(_TRIED):
+        slopes[m] = meetings.smooth[0] + meetings.smooth[1] * (low + (m + 1.0) * step)
+    for p in range(meetings.counts[0]):
+        rise, above, below = meetings.points[0, p], meetings.points[1, p], meetings.points[2, p]
+        for m in range(_TRIED):
+            slopes[m] += above if low + (m + 1.0) * step > rise else below
+    for p in range(meetings.counts[1]):
+        rise, above, below = meetings.corners[0, p], meetings.corners[1, p], meetings.corners[2, p]
+        for m in range(_TRIED):
+            past = low + (m + 1.0) * step - rise
+            slopes[m] += (above if past > 0.0 else below) * past
+
+
+@njit(cache=True)
+def _best_rise(meetings, low, high):
+    """The rise at which facets cost least, between bounds."""
+    # above the highest meeting, or below the lowest, everything only grows; so it does away from the reference plane
+    a, b = min(max(meetings.bounds[0], low), high), max(min(meetings.bounds[1], high), low)
+    for _ in range(_DIVISIONS):
+        step = (b - a) / (_TRIED + 1)
+        _try_rises(a, step, meetings)
+        falling = 0
+        while falling < _TRIED and meetings.slopes[falling] <= 0.0:
+            falling += 1
+        a, b = a + falling * step, a + (falling + 1) * step
+    return 0.5 * (a + b)
 
 
 @njit(cache=True)
@@ -109,8 +165,8 @@ def best_height(own, around, terms, low, high):
     """The height at which a facet costs least, and that cost.
 
     ``E(c) = sum over edges of mean over points of (loss * lost width / pitch + even * step^2) + sum over corners of
-    loss * lost area / pitch^2 + screening * c^2``, the steps being ``own + c - around``. It is convex, so its
-    derivative is bisected.
+    loss * lost area / pitch^2 + screening * c^2``, the steps being ``own + c - around``. It is convex, so the
+    sign of its derivative says on which side the best height is.
 
     Args:
         own: the facet's ``Edges`` (4, Q).
@@ -118,299 +174,169 @@ def best_height(own, around, terms, low, high):
         terms: what steps cost.
         low, high: bounds of the height, mm.
     """
-    a, b = low, high
-    corners = np.empty((4, 2))
-    for e in range(4):
-        corners[e, 0], corners[e, 1] = _corner(own.profiles, own.drifts, e)
-    for _ in range(_BISECTIONS - 1):
-        c = 0.5 * (a + b)
-        if _slope(c, own, corners, around, terms) > 0.0:
-            b = c
-        else:
-            a = c
-    c = 0.5 * (a + b)
-    return c, _cost(c, own, corners, around, terms)
-
-
-class _Lanes(NamedTuple):
-    """Some candidates of a facet whose heights are sought side by side, as processors can; the last axis is theirs.
-
-    Args:
-        profiles, rates: (4, Q, M) heights of edges, and ``loss * drift / pitch``.
-        corners: (4, 2, M) heights and products of drifts, see ``_corner``.
-        low, high, height, slope: (M,) bounds, their middle, and the energy's derivative there.
-    """
-
-    profiles: FloatArray
-    rates: FloatArray
-    corners: FloatArray
-    low: FloatArray
-    high: FloatArray
-    height: FloatArray
-    slope: FloatArray
+    points = own.profiles.shape[1]
+    meetings = _room(points, 1)
+    _add_meetings(own, around, 0.0, terms, meetings)
+    c = _best_rise(meetings, low, high)
+    even, cost = terms.even / points, terms.screening * c * c
+    for p in range(meetings.counts[0]):
+        step = c - meetings.points[0, p]
+        cost += meetings.points[1 if step > 0.0 else 2, p] * step + even * step * step
+    for p in range(meetings.counts[1]):
+        step = c - meetings.corners[0, p]
+        cost += 0.5 * meetings.corners[1 if step > 0.0 else 2, p] * step * step
+    return c, cost
 
 
 @njit(cache=True)
-def _room(points, most):
-    """Room for so many candidates side by side."""
-    return _Lanes(
-        np.zeros((4, points, most)), np.zeros((4, points, most)), np.zeros((4, 2, most)),
-        np.zeros(most), np.zeros(most), np.zeros(most), np.zeros(most),
-    )  # fmt: skip
-
-
-@njit(cache=True)
-def _fill_lane(lanes, m, own, terms, reach):
-    """Make a candidate, with its edges ``own``, the m-th of those side by side."""
-    points, width = own.profiles.shape[1], terms.loss / terms.pitch
-    lanes.low[m], lanes.high[m] = -reach, reach
-    for e in range(4):
-        for q in range(points):
-            lanes.profiles[e, q, m] = own.profiles[e, q]
-            lanes.rates[e, q, m] = width * own.drifts[e, q]
-        lanes.corners[e, 0, m], lanes.corners[e, 1, m] = _corner(own.profiles, own.drifts, e)
-
-
-@njit(cache=True)
-def _add_slopes(slope, height, profile, rate, facing):
-    """Add what one point of an edge adds to the derivatives; facing: its height, rate, twice ``even``, and share."""
-    other, inward, twice, share = facing
-    for m in range(len(slope)):
-        step = profile[m] + height[m] - other
-        slope[m] += ((rate[m] if step > 0.0 else inward) + twice * step) * share
-
-
-@njit(cache=True)
-def _add_corner_slopes(slope, height, corner, facing):
-    """Add what one corner adds to the derivatives; facing: its height, product of drifts, and loss by area."""
-    other, inward, area = facing
-    for m in range(len(slope)):
-        step = corner[0, m] + height[m] - other
-        slope[m] += 2.0 * (area * (corner[1, m] if step > 0.0 else inward)) * step
-
-
-@njit(cache=True)
-def _bisect(lanes, count, around, terms):
-    """Find the heights of the first ``count`` candidates side by side: those that ``best_height`` finds, bit by bit."""
-    points = lanes.profiles.shape[1]
-    width, area = terms.loss / terms.pitch, terms.loss / terms.pitch**2
-    low, high, height, slope = lanes.low[:count], lanes.high[:count], lanes.height[:count], lanes.slope[:count]
-    share = 1.0 / points  # points are a power of two, so that this divides exactly
-    for done in range(_BISECTIONS):
-        if done > 0:
-            for m in range(count):
-                above = slope[m] > 0.0
-                high[m] = height[m] if above else high[m]
-                low[m] = low[m] if above else height[m]
-        for m in range(count):
-            height[m] = 0.5 * (low[m] + high[m])
-            slope[m] = 2.0 * terms.screening * height[m]
-        if done == _BISECTIONS - 1:
-            return
-        for e in range(4):
-            if not np.isnan(around[e, 0, 0]):
-                for q in range(points):
-                    facing = (around[e, q, 0], -width * around[e, q, 1], 2.0 * terms.even, share)
-                    _add_slopes(slope, height, lanes.profiles[e, q], lanes.rates[e, q], facing)
-            if not np.isnan(around[e, points, 0]):
-                facing_corner = (around[e, points, 0], around[e, points, 1], area)
-                _add_corner_slopes(slope, height, lanes.corners[e], facing_corner)
-
-
-@njit(cache=True)
-def surroundings(i, j, choice, heights, edges, around):
+def surroundings(i, j, heights, edges, around):
     """What faces facet (i, j) across its edges' points and, last in each row, its corners.
 
     Args:
         i, j: row and column of the facet.
-        choice: (N, N) the facets' candidates.
         heights: (N, N) the facets' heights, mm.
-        edges: the candidates' ``Edges`` (N, N, K, 4, Q).
+        edges: the facets' ``Edges`` (N, N, 4, Q).
         around: (4, Q + 1, 2) to fill with heights, nan outside the lens, and drifts toward the facet.
     """
-    n, points = len(choice), edges.profiles.shape[4]
+    n, points = len(heights), edges.profiles.shape[3]
     around[:] = np.nan
     for e in range(4):
-        r, c = i + DOWNWARD[e], j + RIGHTWARD[e]
+        r, c, facing = i + DOWNWARD[e], j + RIGHTWARD[e], (e + 2) % 4
         if 0 <= r < n and 0 <= c < n:
-            k, facing = choice[r, c], (e + 2) % 4
             for q in range(points):
-                around[e, q, 0] = edges.profiles[r, c, k, facing, q] + heights[r, c]
-                around[e, q, 1] = edges.drifts[r, c, k, facing, q]
+                around[e, q, 0] = edges.profiles[r, c, facing, q] + heights[r, c]
+                around[e, q, 1] = edges.drifts[r, c, facing, q]
         r, c = r + DOWNWARD[(e + 1) % 4], c + RIGHTWARD[(e + 1) % 4]
         if 0 <= r < n and 0 <= c < n:
-            k = choice[r, c]
-            height, drift = _corner(edges.profiles[r, c, k], edges.drifts[r, c, k], (e + 2) % 4)
+            height, drift = _corner(edges.profiles[r, c], edges.drifts[r, c], facing)
             around[e, points, 0], around[e, points, 1] = height + heights[r, c], drift
 
 
 @njit(cache=True)
-def _weigh(candidates, around, terms, relief, temperature, lanes, found):
-    """Fill in the energies of a facet's candidates, inf where the heat bath would not draw one, and their best heights.
-
-    Args:
-        candidates: errors (K,), profiles (K, 4, Q) and drifts.
-        around: (4, Q + 1, 2), see ``surroundings``.
-        terms, relief, temperature: see ``heat_bath_sweep``.
-        lanes: room for K candidates.
-        found: (K,) energies and heights; the height of a candidate that is not drawn stays.
-
-    Returns:
-        The least energy.
-    """
-    (errors, profiles, drifts), (energy, level) = candidates, found
-    best, count, labels = np.inf, 0, len(errors)
-    # which, and up to where: those that may be drawn, as far as the first that is looked at can tell
-    which, known = np.empty(labels, np.int64), -1
-    for k in range(labels):
-        energy[k] = np.inf
-        if errors[k] < np.inf and errors[k] < best + 20.0 * temperature:
-            own = Edges(profiles[k], drifts[k])
-            reach = relief - np.abs(own.profiles).max()
-            if reach < 0.0:
-                continue
-            if known < 0:
-                level[k], cost = best_height(own, around, terms, -reach, reach)
-                best = energy[k] = cost + errors[k]
-                known = k
+def _add_square(rows, columns, state, edges, terms, around, meetings):
+    """Add what the facets of a square meet outside of it; returns how far they are from rising too little or much."""
+    (i0, i1), (j0, j1), (heights, reach) = rows, columns, state
+    low, high = -np.inf, np.inf
+    for i in range(i0, i1):
+        for j in range(j0, j1):
+            low, high = max(low, -reach[i, j] - heights[i, j]), min(high, reach[i, j] - heights[i, j])
+            if i0 < i < i1 - 1 and j0 < j < j1 - 1:
+                around[:] = np.nan
             else:
-                which[count] = k
-                _fill_lane(lanes, count, own, terms, reach)
-                count += 1
-    if count > _FEW:
-        _bisect(lanes, count, around, terms)
-    for m in range(count):
-        k = which[m]
-        # far above the best candidate so far, the heat bath would not draw it
-        if errors[k] < best + 20.0 * temperature:
-            own = Edges(profiles[k], drifts[k])
-            if count > _FEW:
-                level[k] = lanes.height[m]
-                cost = _cost(level[k], own, lanes.corners[:, :, m], around, terms)
-            else:
-                level[k], cost = best_height(own, around, terms, lanes.low[m], lanes.high[m])
-            energy[k] = cost + errors[k]
-            best = min(best, energy[k])
-    return best
+                surroundings(i, j, heights, edges, around)
+                for e in range(4):
+                    f = (e + 1) % 4
+                    r, c = i + DOWNWARD[e], j + RIGHTWARD[e]
+                    if i0 <= r < i1 and j0 <= c < j1:
+                        around[e, :-1] = np.nan
+                    r, c = r + DOWNWARD[f], c + RIGHTWARD[f]
+                    if i0 <= r < i1 and j0 <= c < j1:
+                        around[e, -1] = np.nan
+            own = Edges(edges.profiles[i, j], edges.drifts[i, j])
+            _add_meetings(own, around, heights[i, j], terms, meetings)
+    return low, high
 
 
 @njit(cache=True, nogil=True)
-def _sweep_part(part, colour, state, candidates, terms, relief, chance, moved):
-    """Part of the rows of a colour, see ``heat_bath_sweep``; state: choice and heights, chance: temperature and dice.
+def _levels_part(part, colour, squares, state, edges, terms):
+    """Part of the rows of squares of a colour, see ``levels_sweep``.
 
-    candidates: errors and edges. moved: (N,) greatest change of a height per row, updated in place.
+    squares: side, and what is cut off the first. state: heights, and how far they may be from 0, (N, N).
     """
-    (choice, heights), (errors, edges), (temperature, dice) = state, candidates, chance
-    n, _, labels = errors.shape
-    points = edges.profiles.shape[4]
-    around, lanes = np.zeros((4, points + 1, 2)), _room(points, labels)
-    energy, level = np.zeros(labels), np.zeros(labels)
+    (side, cut_rows, cut_columns), heights = squares, state[0]
+    n, points = len(heights), edges.profiles.shape[3]
+    around, meetings = np.zeros((4, points + 1, 2)), _room(points, 4 * side)  # facets inside meet nothing
     for row in range(part.first, part.end):
-        i = 2 * row + colour // 2
-        level[:] = 0.0
-        for j in range(colour % 2, n, 2):
-            surroundings(i, j, choice, heights, edges, around)
-            best = _weigh(
-                (errors[i, j], edges.profiles[i, j], edges.drifts[i, j]),
-                around,
-                terms,
-                relief,
-                temperature,
-                lanes,
-                (energy, level),
-            )
-            pick = _draw(energy, best, temperature, dice[i, j])
-            moved[i] = max(moved[i], abs(heights[i, j] - level[pick]))
-            choice[i, j], heights[i, j] = pick, level[pick]
+        block = 2 * row + colour // 2
+        rows = max(block * side - cut_rows, 0), min((block + 1) * side - cut_rows, n)
+        for left in range(colour % 2 * side - cut_columns, n, 2 * side):
+            columns = max(left, 0), min(left + side, n)
+            meetings.counts[:], meetings.smooth[:], meetings.bounds[:] = 0, 0.0, 0.0
+            low, high = _add_square(rows, columns, state, edges, terms, around, meetings)
+            if low <= high:
+                rise = _best_rise(meetings, low, high)
+                for i in range(rows[0], rows[1]):
+                    for j in range(columns[0], columns[1]):
+                        heights[i, j] += rise
 
 
-def heat_bath_sweep(
-    choice: IntArray,
-    heights: FloatArray,
-    errors: FloatArray,
-    edges: Edges,
-    terms: EnergyTerms,
-    relief: float,
-    temperature: float,
-    dice: FloatArray,
-) -> float:
-    """One heat-bath sweep over all facets, no neighbours at once: each draws a candidate, and takes its best height.
-
-    ``P(k) ~ exp(-E_k / temperature)`` with the candidate's image error plus its energy at its best height, see
-    ``best_height``; temperature 0 takes the best.
+def levels_sweep(
+    heights: FloatArray, edges: Edges, terms: EnergyTerms, relief: float, squares: tuple[int, int, int]
+) -> None:  # fmt: skip
+    """Raise or lower squares of facets, no neighbours at once, to where they cost least: a descent on a convex energy.
 
     Args:
-        choice: (N, N) int64, updated in place.
         heights: (N, N) mm, updated in place.
-        errors: (N, N, K) image errors; inf where there is no candidate.
-        edges: the candidates' ``Edges`` (N, N, K, 4, Q).
+        edges: the facets' ``Edges`` (N, N, 4, Q).
         terms: what steps cost.
-        relief: candidates that rise or fall more than this, mm, are left out.
-        temperature: same unit as the errors.
-        dice: (N, N) random numbers in [0, 1).
-
-    Returns:
-        The greatest change of a height, mm.
+        relief: squares with facets that rise or fall more than this, mm, stay where they are.
+        squares: their side, facets, and how many rows and columns are missing of the first.
     """
-    n = len(choice)
-    moved = np.zeros(n)
-    state, candidates, chance = (choice, heights), (errors, edges), (temperature, dice)
+    n, (side, cut_rows, _) = len(heights), squares
+    reach = relief - np.abs(edges.profiles).max(axis=(2, 3))
+    blocks = -(-(n + cut_rows) // side)
     for colour in range(4):
-        rows = (n + 1 - colour // 2) // 2
-        in_threads(_sweep_part, rows, colour, state, candidates, terms, relief, chance, moved)
-    return float(moved.max())
+        rows = (blocks + 1 - colour // 2) // 2
+        in_threads(_levels_part, rows, colour, squares, (heights, reach), edges, terms)
 
 
-@njit(cache=True)
-def _draw(energy, best, temperature, die):
-    """A candidate by the heat bath, ``P(k) ~ exp((best - energy[k]) / temperature)``; die in [0, 1)."""
-    if temperature <= 0.0:
-        return np.argmin(energy)
-    total = 0.0
-    for e in energy:
-        total += np.exp((best - e) / temperature)
-    left = die * total
-    for k in range(len(energy)):
-        left -= np.exp((best - energy[k]) / temperature)
-        if left <= 0.0:
-            return k
-    return np.argmin(energy)
+def settle_levels(heights: FloatArray, edges: Edges, terms: EnergyTerms, relief: float, turn: int) -> None:
+    """Sweep over squares of all sizes, from half the lens to single facets; ten turns leave little to gain.
+
+    Single facets alone would soon be stuck, each held by neighbours that would have to move with it.
+
+    Args:
+        heights: (N, N) mm, updated in place.
+        edges: the facets' ``Edges`` (N, N, 4, Q).
+        terms: what steps cost.
+        relief: see ``levels_sweep``.
+        turn: how often this has been done; squares have other places each time.
+    """
+    side = max(len(heights) // 2, 1)
+    while side > 0:
+        cut = int(_GOLDEN * turn % 1.0 * side)
+        levels_sweep(heights, edges, terms, relief, (side, cut, cut))
+        side //= 2
 
 
 @njit(cache=True, nogil=True)
-def _energy_part(part, choice, heights, errors, edges, terms, energies):
-    """Part of the rows, see ``total_energy``; energies: (N, 3) zeros, to add to."""
+def _walls_part(part, heights, edges, terms, energies):
+    """Part of the rows, see ``wall_energies``; energies: (N, N, 2) zeros, to add to."""
     loss, pitch, even, screening = terms
-    n, points = len(choice), edges.profiles.shape[4]
+    n, points = len(heights), edges.profiles.shape[3]
     around = np.zeros((4, points + 1, 2))
     for i in range(part.first, part.end):
         for j in range(n):
-            k = choice[i, j]
-            surroundings(i, j, choice, heights, edges, around)
-            energies[i, 0] += errors[i, j, k]
-            energies[i, 2] += screening * heights[i, j] ** 2
+            own = energies[i, j]
+            surroundings(i, j, heights, edges, around)
+            own[1] = screening * heights[i, j] ** 2
             for e in range(4):
                 # both sides of every edge and corner are visited: count the own loss only, and half of the even part
                 if not np.isnan(around[e, 0, 0]):
                     for q in range(points):
-                        step = edges.profiles[i, j, k, e, q] + heights[i, j] - around[e, q, 0]
-                        energies[i, 1] += loss / pitch * edges.drifts[i, j, k, e, q] * max(step, 0.0) / points
-                        energies[i, 2] += 0.5 * even * step * step / points
+                        step = edges.profiles[i, j, e, q] + heights[i, j] - around[e, q, 0]
+                        own[0] += loss / pitch * edges.drifts[i, j, e, q] * max(step, 0.0) / points
+                        own[1] += 0.5 * even * step * step / points
                 if not np.isnan(around[e, points, 0]):
-                    height, drift = _corner(edges.profiles[i, j, k], edges.drifts[i, j, k], e)
+                    height, drift = _corner(edges.profiles[i, j], edges.drifts[i, j], e)
                     step = height + heights[i, j] - around[e, points, 0]
-                    energies[i, 1] += loss / pitch**2 * drift * max(step, 0.0) ** 2
+                    own[0] += loss / pitch**2 * drift * max(step, 0.0) ** 2
 
 
-def total_energy(
-    choice: IntArray, heights: FloatArray, errors: FloatArray, edges: Edges, terms: EnergyTerms
-) -> FloatArray:  # fmt: skip
-    """(3,) image error, light lost at walls, and the even part (step^2 and screening), each summed over the lens.
+def wall_energies(heights: FloatArray, edges: Edges, terms: EnergyTerms) -> FloatArray:
+    """What each facet costs besides its error: light lost at its own walls, and the even part (step^2 and screening).
 
     The lost light is ``loss * (drift * step / pitch, mean over an edge's points, + drift^2 * step^2 / pitch^2 of
-    corners)``, for steps > 0. Arguments are those of ``heat_bath_sweep``.
+    corners)``, for steps > 0. Neighbours share what their edge costs for its step^2.
+
+    Args:
+        heights: (N, N) mm.
+        edges: the facets' ``Edges`` (N, N, 4, Q).
+        terms: what steps cost.
+
+    Returns:
+        (N, N, 2); the walls of the lens cost their sum.
     """
-    energies = np.zeros((len(choice), 3))
-    in_threads(_energy_part, len(choice), choice, heights, errors, edges, terms, energies)
-    total: FloatArray = energies.sum(axis=0)
-    return total
+    energies = np.zeros((*heights.shape, 2))
+    in_threads(_walls_part, len(heights), heights, edges, terms, energies)
+    return energies
