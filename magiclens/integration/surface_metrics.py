@@ -30,11 +30,15 @@ def facet_slopes_deg(points: FloatArray) -> FloatArray:
     Returns:
         (2 (k - 1)^2 N^2,) angles between +z and the triangles' normals, degrees.
     """
-    right, down = np.diff(points, axis=3), np.diff(points, axis=2)
-    pairs = ((right[:, :, 1:], down[..., :-1, :]), (right[:, :, :-1], down[..., 1:, :]))  # lower left, upper right
-    normals = np.concatenate([np.cross(d, r).reshape(-1, 3) for r, d in pairs])
-    angles: FloatArray = np.degrees(np.arctan2(np.hypot(normals[:, 0], normals[:, 1]), normals[:, 2]))
-    return angles
+    m = points.shape[2] - 1
+    angles = np.empty((2, *points.shape[:2], m, m))  # of triangles at the lower left, and at the upper right
+    for n, row in enumerate(points):  # one by one, or most of the time would go into getting memory
+        right, down = np.diff(row, axis=2), np.diff(row, axis=1)
+        for part, (r, d) in enumerate(((right[:, 1:], down[..., :-1, :]), (right[:, :-1], down[..., 1:, :]))):
+            (rx, ry, rz), (dx, dy, dz) = np.moveaxis(r, -1, 0), np.moveaxis(d, -1, 0)
+            across = np.hypot(dy * rz - dz * ry, dz * rx - dx * rz)
+            angles[part, n] = np.degrees(np.arctan2(across, dx * ry - dy * rx))
+    return angles.reshape(-1)
 
 
 def surface_metrics(built: HeightField) -> dict[str, float]:
