@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -23,8 +22,10 @@ from magiclens.integration.surface_metrics import surface_metrics
 from magiclens.kernels.spreading import shares, spread
 from magiclens.optics.medium import Cut, Optics, optics_of
 
-_BLURS = (0.08, 0.03, 0.0)
+_BLURS = (0.08, 0.03)
 """Blurs of the sources, one after the other, in facet widths. A blurred edge has a gradient even far away from it."""
+_SHARP = 0.0
+"""The last one."""
 _LEAST_BLUR = 0.1
 """Least blur of the sources, in widths of a micro-facet: a look-up stands for a piece of one."""
 _ITERATIONS = 4
@@ -43,7 +44,7 @@ _DISPLAY_ENTRIES = 8192
 """Number of entries of the table of display values."""
 FACETS_AT_ONCE = 512
 """Most facets between two reports of progress."""
-_FINER = 4
+_FINER = 8
 """So many blocks of facets for each worker of a cluster: some facets take many more steps than others."""
 
 Relevel = Callable[[FloatArray, FloatArray], FloatArray]
@@ -69,16 +70,15 @@ def refine(
         The refined height field. A facet that is not better for it, or that would leave the lens's relief, keeps its
         shape.
     """
-    facets = _Facets(scene, built, locked)
-    progress(0.1)
-    for stage, blur in enumerate(_BLURS):
-        if stage == len(_BLURS) - 1:
-            # facets that blurred sources made worse start from their given shapes again, now with a sharp source
-            facets.keep_better(facets.errors())
-            if relevel:
-                facets.relevel(relevel)
-        errors = facets.descend(blur, rounds, partial(_tell, progress, stage))
-    refined = facets.keep_better(errors)
+    facets, (wide, narrow) = _Facets(scene, built, locked), _BLURS
+    facets.begin([(_SHARP, 0), (wide, rounds)], lambda done: progress(0.38 * done))
+    errors = facets.descend([(narrow, rounds), (_SHARP, 0)], lambda done: progress(0.38 + 0.34 * done))
+    # facets that blurred sources made worse start from their given shapes again, now with a sharp source
+    facets.keep_better(errors[-1])
+    if relevel:
+        facets.relevel(relevel)
+    errors = facets.descend([(_SHARP, rounds)], lambda done: progress(0.72 + 0.28 * done))
+    refined = facets.keep_better(errors[-1])
     after = replace(built, heights_mm=facets.heights.reshape(built.heights_mm.shape))
     metrics = {**built.metrics, **surface_metrics(after), "facets_refined": float(refined.mean())}
     return replace(after, metrics=metrics)
@@ -89,7 +89,9 @@ def predicted_errors(scene: Scene, built: HeightField) -> FloatArray:
 
     Infinite where a ray does not arrive at all.
     """
-    return _Facets(scene, built, locked=False).first.reshape(built.levels_mm.shape)
+    facets = _Facets(scene, built, locked=False)
+    facets.begin([(_SHARP, 0)])
+    return facets.first.reshape(built.levels_mm.shape)
 
 
 class _Facets:
@@ -97,8 +99,8 @@ class _Facets:
 
     Attributes:
         heights: (F, k, k) mm, as they are now.
-        first: (F,) mean squared differences, in display values, of what the facets showed at first and their tiles;
-            infinite where a ray does not arrive.
+        first: (F,) mean squared differences, in display values, of what the facets showed at first and their tiles, see
+            ``begin``; infinite where a ray does not arrive.
     """
 
     def __init__(self, scene: Scene, built: HeightField, locked: bool):
@@ -112,31 +114,34 @@ class _Facets:
         self._common = _Common(pictures_of(scene, samples.pixels), samples, optics_for(built), metric)
         self.heights = built.heights_mm.reshape(-1, k, k).copy()
         self._given, self._imperfect = self.heights.copy(), np.arange(len(self.heights))
-        self.first = self.errors()
+        self.first = np.full(len(self.heights), np.inf)
+
+    def begin(self, passes: list[tuple[float, int]], progress: Callable[[float], None] = lambda _: None) -> None:
+        """Find ``first`` in the first of some passes, which has no steps, see ``descend``."""
+        self.first = self.descend(passes, progress)[0]
         self._imperfect = np.flatnonzero(self.first > _PERFECT)
 
-    def errors(self) -> FloatArray:
-        """(F,) mean squared differences as the facets are now, see ``first``; inf for perfect ones."""
-        return self.descend(_BLURS[-1], 0, lambda _: None)
-
-    def descend(self, blur: float, rounds: int, progress: Callable[[float], None]) -> FloatArray:
+    def descend(self, passes: list[tuple[float, int]], progress: Callable[[float], None]) -> FloatArray:
         """Take steps with all facets that are not perfect.
 
         Args:
-            blur: of the sources, in facet widths.
-            rounds: steps per facet, at most.
+            passes: one after the other with each facet: blur of the sources, in facet widths, and steps, at most.
             progress: is told the share of the facets that are done.
 
         Returns:
-            (F,) mean squared errors, in display values; inf for perfect ones.
+            (passes, F) mean squared errors, in display values; inf for perfect ones.
         """
-        blur_mm = max(blur * self._lens.pitch_mm, _LEAST_BLUR * self._common.samples.cell_mm)
-        descent, errors = Descent(rounds, _ITERATIONS, _ENOUGH), np.full(len(self.heights), np.inf)
+        least_mm = _LEAST_BLUR * self._common.samples.cell_mm
+        descents = [
+            (max(blur * self._lens.pitch_mm, least_mm), Descent(rounds, _ITERATIONS, _ENOUGH))
+            for blur, rounds in passes
+        ]
+        errors = np.full((len(passes), len(self.heights)), np.inf)
         blocks = shares(len(self._imperfect), _FINER, FACETS_AT_ONCE)
         facets = [self._imperfect[block.start : block.stop] for block in blocks]
-        parts = [_Part(self.heights[f], self._centres[f], blur_mm, descent) for f in facets]
+        parts = [_Part(self.heights[f], self._centres[f], descents) for f in facets]
         for done, (heights, after) in spread(_descended, self._common, parts, self.heights, errors):
-            self.heights[facets[done]], errors[facets[done]] = heights, after
+            self.heights[facets[done]], errors[:, facets[done]] = heights, after
             progress((done + 1) / len(parts))
         return errors
 
@@ -161,37 +166,41 @@ class _Common:
 
     def __init__(self, pictures: Pictures, samples: Samples, optics: Optics, metric: Metric):
         self._pictures, self.samples, self.optics, self.metric = pictures, samples, optics, metric
-        self._last: tuple[float, Pictures] | None = None
+        self._last: dict[float, Pictures] = {}
 
     def pictures(self, blur_mm: float) -> Pictures:
-        """The pictures with blurred sources; the last ones are kept, for the next block of facets."""
-        if self._last is None or self._last[0] != blur_mm:
-            self._last = blur_mm, blurred(self._pictures, blur_mm)
-        return self._last[1]
+        """The pictures with blurred sources; the last two are kept, for the next block of facets."""
+        asked = self._last.pop(blur_mm, None) or blurred(self._pictures, blur_mm)
+        self._last = dict([*list(self._last.items())[-1:], (blur_mm, asked)])
+        return asked
 
 
 class _Part(NamedTuple):
-    """Facets that take steps, see ``_Facets.descend``."""
+    """Facets that take steps, see ``_Facets.descend``.
+
+    Attributes:
+        descents: One after the other: blur of the sources, mm, and when steps end.
+    """
 
     heights: FloatArray
     centres: FloatArray
-    blur_mm: float
-    descent: Descent
+    descents: list[tuple[float, Descent]]
 
 
 def _descended(common: _Common, part: _Part) -> tuple[FloatArray, FloatArray]:
     """Heights and errors of facets after their steps. It may be called again with the same part, on other machines."""
-    heights, errors = part.heights.copy(), np.zeros(len(part.heights))
-    refine_facets(
-        heights, part.centres, common.samples, common.pictures(part.blur_mm), common.optics, common.metric,
-        part.descent, errors,
-    )  # fmt: skip
+    heights, left = part.heights.copy(), np.arange(len(part.heights))
+    errors = np.full((len(part.descents), len(heights)), np.inf)
+    for number, (blur_mm, descent) in enumerate(part.descents):
+        moved, after = heights[left], np.zeros(len(left))
+        refine_facets(
+            moved, part.centres[left], common.samples, common.pictures(blur_mm), common.optics, common.metric,
+            descent, after,
+        )  # fmt: skip
+        heights[left], errors[number, left] = moved, after
+        if descent.rounds == 0:
+            left = left[after > _PERFECT]
     return heights, errors
-
-
-def _tell(progress: Callable[[float], None], stage: int, done: float) -> None:
-    # the first tenth is for preparation
-    progress(0.1 + 0.9 * (stage + done) / len(_BLURS))
 
 
 def samples_of(lens: Lens) -> Samples:
