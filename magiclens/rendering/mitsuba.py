@@ -62,11 +62,19 @@ class Mitsuba(Renderer):
         from magiclens.rendering.llvm import usable_variant
 
         mi.set_variant(usable_variant(self.variant))
-        lens = self._lens(solid, scene.lens.ior)
+        mesh = self._lens(solid, scene.lens.ior)
         pictures = np.zeros((len(scene.views), self.resolution, self.resolution, 3), np.float32)
+        size: tuple[int, ...] = ()
         for index, view in resumable(list(enumerate(scene.views)), pictures):
-            world = mi.load_dict(self._world(scene.lens, lens, view))
-            pictures[index] = np.asarray(mi.render(world, seed=mi.UInt32(self.seed + index)))
+            source = _bitmap(view)
+            if source.shape != size:
+                world, size = mi.load_dict(self._world(scene.lens, mesh, view)), source.shape
+            # As long as no shape moves, Embree need not sort the triangles again; a bitmap keeps its size.
+            parameters = mi.traverse(world)
+            parameters["source.emitter.radiance.data"] = source
+            parameters.update()
+            eye = mi.load_dict(self._eye(scene.lens, view))
+            pictures[index] = np.asarray(mi.render(world, sensor=eye, seed=mi.UInt32(self.seed + index)))
             progress((index + 1) / len(scene.views))
         wanted = [view.source.shape[-1] for view in scene.views]
         return [np.ascontiguousarray(picture[..., :c]) for picture, c in zip(pictures, wanted, strict=True)]
@@ -92,25 +100,23 @@ class Mitsuba(Renderer):
 
     def _world(self, lens: Lens, mesh: Any, view: View) -> dict[str, Any]:
         """The lens as it is, over the source and under the eye, both turned back by the lens rotation."""
-        from mitsuba import ScalarTransform4f
-
-        turn = ScalarTransform4f().rotate([0, 0, 1], -view.rotation_deg)
         return {
             "type": "scene",
             # The block size is pinned since the samples' seeds depend on it, and its default on the number of cores.
             "integrator": {"type": "path", "max_depth": self.max_depth, "rr_depth": self.max_depth, "block_size": 32},
             "lens": mesh,
-            "source": _source(lens, view, turn),
-            "sensor": self._eye(lens, view, turn),
+            "source": _source(lens, view),
+            "sensor": self._eye(lens, view),
         }
 
-    def _eye(self, lens: Lens, view: View, turn: Any) -> dict[str, Any]:
+    def _eye(self, lens: Lens, view: View) -> dict[str, Any]:
         """A pinhole that looks straight down, its film the lens's square on the reference plane."""
         from mitsuba import ScalarTransform4f
 
         x, y, z = (float(c) for c in view.eye_mm)
         distance = z - lens.thickness_mm
         straight_down = ScalarTransform4f().look_at(origin=[x, y, z], target=[x, y, 0.0], up=[0, 1, 0])
+        turn = ScalarTransform4f().rotate([0, 0, 1], -90 * view.quarter_turns)
         return {
             "type": "perspective",
             "fov": degrees(2 * atan(lens.size_mm / 2 / distance)),
@@ -130,18 +136,21 @@ class Mitsuba(Renderer):
         }
 
 
-def _source(lens: Lens, view: View, turn: Any) -> dict[str, Any]:
+def _source(lens: Lens, view: View) -> dict[str, Any]:
     """The source as light that leaves a plane evenly into all directions."""
     from mitsuba import Bitmap, ScalarTransform4f
 
     half = lens.source_size_mm / 2
-    bottom_row_first = np.ascontiguousarray(view.source[::-1], np.float32)
-    light = {"type": "bitmap", "bitmap": Bitmap(bottom_row_first), "raw": True, "wrap_mode": "clamp"}
-    below = ScalarTransform4f().translate([0, 0, -max(lens.gap_mm, SMALLEST_GAP_MM)]).scale([half, half, 1])
+    light = {"type": "bitmap", "bitmap": Bitmap(_bitmap(view)), "raw": True, "wrap_mode": "clamp"}
     return {
         "type": "rectangle",
-        "to_world": turn @ below,
+        "to_world": ScalarTransform4f().translate([0, 0, -max(lens.gap_mm, SMALLEST_GAP_MM)]).scale([half, half, 1]),
         # Paths end here; a black surface would end them too, but only after a shadow ray.
         "bsdf": {"type": "null"},
         "emitter": {"type": "area", "radiance": light},
     }
+
+
+def _bitmap(view: View) -> FloatArray:
+    """The source turned back by the lens rotation, bottom row first: (H, W, C)."""
+    return np.ascontiguousarray(np.rot90(view.source, -view.quarter_turns)[::-1], np.float32)
