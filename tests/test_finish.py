@@ -104,7 +104,7 @@ def with_upright_sides(solid: Solid) -> Solid:
     index = np.arange(LINES**2).reshape(LINES, LINES)
     rim = np.concatenate([index[:-1, 0], index[-1, :-1], index[:0:-1, -1], index[0, :0:-1]])
     vertices = solid.vertices.copy()
-    vertices[LINES**2 : -1, :2] = vertices[rim, :2]
+    vertices[LINES**2 : LINES**2 + len(rim), :2] = vertices[rim, :2]
     return Solid(vertices, solid.faces, solid.grid, solid.eye_mm)
 
 

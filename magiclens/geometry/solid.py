@@ -12,6 +12,11 @@ from magiclens.geometry.mark import with_mark
 
 FACES_AT_ONCE = 1 << 13
 """So many faces' corners, and what is computed of them, fit into a processor's cache: larger parts take longer."""
+_INNER_POINTS, _INSET = 64, 0.9
+"""Most points of the ring inside the floor's outline, and how much smaller it is.
+
+Thousands of slivers that met in the middle would slow down every search for the triangle that a ray meets.
+"""
 
 
 def solid_from_heights(heights: HeightField) -> Solid:
@@ -54,7 +59,8 @@ def solid_from_raster(x_mm: FloatArray, y_mm: FloatArray, z_mm: FloatArray, floo
 def solid_from_grid(top: FloatArray, floor: FloatArray, eye_mm: FloatArray | None = None) -> Solid:
     """The body under a grid of points.
 
-    Every cell is cut from its top-left to its bottom-right corner; the bottom is a fan about the floor's mean.
+    Every cell is cut from its top-left to its bottom-right corner; the bottom is a strip along the floor's outline and
+    a fan about the floor's mean.
 
     Args:
         top: (rows, columns, 3) mm, lens frame, row 0 at +y and column 0 at -x.
@@ -62,7 +68,9 @@ def solid_from_grid(top: FloatArray, floor: FloatArray, eye_mm: FloatArray | Non
         eye_mm: (3,) the eye along whose rays the top's cells are cut; None if they are vertical.
     """
     rows, columns = top.shape[:2]
-    vertices = np.concatenate([top.reshape(-1, 3), floor, floor.mean(axis=0, keepdims=True)])
+    middle = floor.mean(axis=0)
+    inner = middle + _INSET * (floor[:: _outline_per_inner(len(floor))] - middle)
+    vertices = np.concatenate([top.reshape(-1, 3), floor, inner, middle[None]])
     return Solid(vertices, np.concatenate([*_faces_of_grid(rows, columns)]), (rows, columns), eye_mm)
 
 
@@ -183,11 +191,21 @@ def _border(rows: int, columns: int) -> IntArray:
 
 def _faces_below(rim: IntArray, first: int) -> IntArray:
     """Two triangles between each border edge and the floor edge below, whose points start at ``first``; the floor."""
-    low = first + np.arange(len(rim))
+    low, step = first + np.arange(len(rim)), _outline_per_inner(len(rim))
     a, b, c, d = rim, np.roll(rim, -1), low, np.roll(low, -1)
-    middle = np.full_like(low, first + len(rim))
+    inner = np.arange(low[-1] + 1, low[-1] + 1 + -(-len(rim) // step))
+    near = inner[(np.arange(len(rim)) + step // 2) // step % len(inner)]
+    following = np.roll(near, -1)
+    turn = near != following
     sides = [np.stack([a, c, d], axis=-1), np.stack([a, d, b], axis=-1)]
-    return np.concatenate([*sides, np.stack([low, middle, d], axis=-1)])
+    strip = [np.stack([c, near, d], axis=-1), np.stack([d, near, following], axis=-1)[turn]]
+    fan = np.stack([inner, np.full_like(inner, inner[-1] + 1), np.roll(inner, -1)], axis=-1)
+    return np.concatenate([*sides, *strip, fan])
+
+
+def _outline_per_inner(count: int) -> int:
+    """How many of the ``count`` points of the floor's outline there are for every point of the ring inside it."""
+    return -(-count // _INNER_POINTS)
 
 
 def _dropped(plane: FloatArray, eye: FloatArray | None) -> FloatArray:

@@ -308,7 +308,8 @@ def with_a_dent_in_its_floor(solid: Solid) -> Solid:
 
 def with_a_crooked_foot(solid: Solid) -> Solid:
     vertices = solid.vertices.copy()
-    vertices[-5, :2] += 0.1
+    assert solid.grid
+    vertices[solid.grid[0] ** 2 + 5, :2] += 0.1
     return replace(solid, vertices=vertices)
 
 

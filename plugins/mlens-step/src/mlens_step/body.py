@@ -50,11 +50,12 @@ def _unfit(why: str) -> InputError:
 def _floor(solid: Solid, g: int) -> FloatArray | None:
     """(g, g, 3) whose border lies below the top's: the ring of vertices after those of the grid. None if there is none.
 
-    Below its top, the mesh must be two triangles per border edge, and a flat fan inside the ring.
+    Below its top, the mesh must be two triangles per border edge, and flat inside the ring.
     """
     border, ring = _border(g), g * g + np.arange(4 * (g - 1))
     lower = solid.faces[(solid.faces >= g * g).any(axis=1)].astype(np.int64)
-    if len(solid.vertices) != ring[-1] + 2 or len(lower) != 3 * len(ring):
+    inside = len(solid.vertices) - ring[-1] - 1
+    if inside < 0 or len(lower) != 3 * len(ring) + 2 * (inside - 1):
         return None
     ends = np.concatenate([lower[:, [k, (k + 1) % 3]] for k in range(3)])
     edges = np.sort(ends, axis=1) @ [len(solid.vertices), 1]
@@ -64,8 +65,8 @@ def _floor(solid: Solid, g: int) -> FloatArray | None:
     rows = np.append(left[:, 1], bottom[0, 1])
     floor = np.stack(np.broadcast_arrays(bottom[:, 0], rows[:, None], bottom[0, 2]), axis=-1)
     off = floor.reshape(-1, 3)[border] - solid.vertices[ring]
-    level = solid.vertices[-1, 2] - bottom[0, 2]
-    return floor if max(np.abs(off).max(), abs(level)) < FLAT_MM else None
+    level = solid.vertices[g * g :, 2] - bottom[0, 2]
+    return floor if max(np.abs(off).max(), np.abs(level).max()) < FLAT_MM else None
 
 
 def _border(g: int) -> IntArray:
