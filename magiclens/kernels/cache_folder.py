@@ -30,6 +30,6 @@ def cache_folder(package: Path = PACKAGE) -> Path:
     state = sha256()
     for path in sorted(package.rglob("*.py")):
         text = path.read_bytes()
-        if b"njit" in text or b"NamedTuple" in text:
+        if any(word in text for word in (b"njit", b"NamedTuple", b"intrinsic")):
             state.update(path.relative_to(package).as_posix().encode() + b"\0" + text + b"\0")
     return caches_folder() / f"kernels-{state.hexdigest()[:16]}"

@@ -13,9 +13,12 @@ import numpy as np
 
 from magiclens.contract.artifacts import FloatArray
 from magiclens.kernels.compiler import njit
+from magiclens.kernels.lanes import LANES, keep_lanes, lanes_at, no_lanes
 from magiclens.kernels.resuming import blocks, resumable
-from magiclens.kernels.sampling import blend, clamped_cell
+from magiclens.kernels.sampling import blend
 from magiclens.kernels.threads import in_threads
+from magiclens.kernels.uncounted import uncounted
+from magiclens.matching.look_up_kernels import look, places_for
 from magiclens.matching.reachability_kernels import distance_term
 from magiclens.matching.tuples import Found, Tiles, Window
 
@@ -37,44 +40,55 @@ class Staircase(NamedTuple):
     display: FloatArray
 
 
-# not plain fastmath, which takes infinity, the sign of an empty place, for impossible
+@njit(cache=True)
+def _places_on_stairs(tiles, per_mm, stairs):
+    """The ``Places`` of a tile: of each, the middle of its micro-facet, and how far beside that it looks."""
+    pixels, cell = tiles.values.shape[1], tiles.pitch / stairs.microfacets
+    found, apart = places_for((pixels * LOOK_UPS) ** 2), tiles.pitch / (pixels * LOOK_UPS)
+    for n in range(len(found.u)):
+        k, s = n // (LOOK_UPS * LOOK_UPS), n % (LOOK_UPS * LOOK_UPS)
+        x = (k % pixels * LOOK_UPS + s % LOOK_UPS + 0.5) * apart
+        y = (k // pixels * LOOK_UPS + s // LOOK_UPS + 0.5) * apart
+        middle_x, middle_y = (math.floor(x / cell) + 0.5) * cell, (math.floor(y / cell) + 0.5) * cell
+        found.u[n], found.v[n] = middle_x - 0.5 * tiles.pitch, middle_y - 0.5 * tiles.pitch
+        found.beside_x[n] = stairs.flat_scale * (x - middle_x) * per_mm
+        found.beside_y[n] = stairs.flat_scale * (y - middle_y) * per_mm
+    return found
+
+
 @njit(cache=True, fastmath={"contract", "reassoc", "arcp"})
+def _difference(f, tiles, source, places, display, light):
+    """Mean squared difference of facet f's tile and of what its look-ups show; light: (LANES,) float32, overwritten."""
+    _, pixels, _, channels = tiles.values.shape
+    right, down = np.uint64(channels), np.uint64(source.shape[1] * channels)
+    scale, total = np.float32((len(display) - 1) / (LOOK_UPS * LOOK_UPS)), 0.0
+    for c in range(0, channels, LANES):
+        for k in range(pixels * pixels):
+            sum_ = no_lanes()
+            for n in range(np.uint64(k * LOOK_UPS * LOOK_UPS), np.uint64((k + 1) * LOOK_UPS * LOOK_UPS)):
+                at = np.uint64(places.first[n] + c)
+                upper = lanes_at(source, at), lanes_at(source, at + right)
+                lower = lanes_at(source, at + down), lanes_at(source, at + down + right)
+                sum_ = sum_ + blend(upper, lower, places.right[n], places.below[n]) * places.light[n]
+            keep_lanes(light, np.uint64(0), sum_)
+            for lane in range(min(LANES, channels - c)):
+                seen = display[int(light[lane] * scale + np.float32(0.5))]
+                total += (seen - tiles.values[f, k // pixels, k % pixels, c + lane]) ** 2
+    return total / (channels * pixels * pixels)
+
+
+@njit(cache=True)
 def _evaluate_facet(f, tiles, source, per_mm, stairs, window, found):
     """Replace the errors of the candidates of facet f, see ``evaluate``."""
-    channels, pixels = tiles.values.shape[1], tiles.values.shape[2]
-    height, width = source.shape[1], source.shape[2]
-    pitch, table = tiles.pitch, stairs.display
-    scale = (len(table) - 1) / (LOOK_UPS * LOOK_UPS)
-    cell, side = pitch / stairs.microfacets, pixels * LOOK_UPS
-    # of the look-ups along a side: the middle of the micro-facet, and what the look-up sees from there
-    middles, besides = np.empty(side), np.empty(side)
-    for i in range(side):
-        u = (i + 0.5) * pitch / side
-        middle = (math.floor(u / cell) + 0.5) * cell
-        middles[i], besides[i] = middle - 0.5 * pitch, stairs.flat_scale * (u - middle)
-    light = np.zeros(channels, np.float32)
+    places, light = _places_on_stairs(tiles, per_mm, stairs), np.zeros(LANES, np.float32)
+    tiles, source = uncounted(tiles), uncounted(source)
     for k in range(found.errors.shape[1]):
         if not np.isfinite(found.errors[f, k]):
             continue
-        (xx, xy, yy), total = (found.maps[f, k, 0], found.maps[f, k, 1], found.maps[f, k, 2]), 0.0
-        x0, y0 = tiles.centres[f, 0] + found.offsets[f, k, 0], tiles.centres[f, 1] + found.offsets[f, k, 1]
-        for p in range(pixels * pixels):
-            light[:] = 0.0
-            for s in range(LOOK_UPS * LOOK_UPS):
-                i, j = p % pixels * LOOK_UPS + s % LOOK_UPS, p // pixels * LOOK_UPS + s // LOOK_UPS
-                x = (x0 + xx * middles[i] + xy * middles[j] + besides[i]) * per_mm + 0.5 * width - 0.5
-                y = (y0 + xy * middles[i] + yy * middles[j] + besides[j]) * per_mm + 0.5 * height - 0.5
-                if not (-0.5 <= x <= width - 0.5 and -0.5 <= y <= height - 0.5):
-                    continue  # beside the source it is dark
-                ix, iy, dx, dy = clamped_cell(x, y, width, height)
-                fx, fy = np.float32(dx), np.float32(dy)
-                for c in range(channels):
-                    light[c] += blend(source[c, iy, ix : ix + 2], source[c, iy + 1, ix : ix + 2], fx, fy)
-            for c in range(channels):
-                seen = table[int(light[c] * scale + 0.5)]
-                total += (seen - tiles.values[f, c, p // pixels, p % pixels]) ** 2
-        far = distance_term(found.offsets[f, k, 0], found.offsets[f, k, 1], window)
-        found.errors[f, k] = total / (channels * pixels * pixels) + far
+        (rx, ry), m = (found.offsets[f, k, 0], found.offsets[f, k, 1]), found.maps[f, k]
+        look(places, (tiles.centres[f, 0] + rx, tiles.centres[f, 1] + ry), m, per_mm, source.shape)
+        difference = _difference(f, tiles, source, places, stairs.display, light)
+        found.errors[f, k] = difference + distance_term(rx, ry, window)
 
 
 @njit(cache=True, nogil=True)
@@ -91,8 +105,8 @@ def evaluate(tiles: Tiles, source: FloatArray, per_mm: float, stairs: Staircase,
     point p in the micro-facet centred at a at ``c + R + M a + flat_scale (p - a)``.
 
     Args:
-        tiles: ``Tiles`` (F, C, P, P).
-        source: (C, H, W) float32, linear light.
+        tiles: ``Tiles`` (F, P, P, C), with room for lanes.
+        source: (H, W, C) float32, linear light, with room for lanes.
         per_mm: source pixels per mm.
         stairs: how flat micro-facets show the source.
         window: the search window.

@@ -287,7 +287,8 @@ def _polish_facet(f, views, facets, polishing, window, optics, found):
     count, pitch, per_mm = len(views.eyes), facets.pitch, views.per_mm
     half_source = 0.5 * levels.images.shape[4] / per_mm
     jtj, jtr = np.zeros((PARAMETERS, PARAMETERS), np.float32), np.zeros(PARAMETERS, np.float32)
-    step, p, q = np.zeros(PARAMETERS), np.zeros(PARAMETERS), np.zeros(PARAMETERS)
+    room, step = np.zeros((PARAMETERS, PARAMETERS)), np.zeros(PARAMETERS)
+    p, q = np.zeros(PARAMETERS), np.zeros(PARAMETERS)
     sighting = _Sighting(unknown_first_order(count), np.zeros((count, 4)))
     centre = (facets.centres[f, 0], facets.centres[f, 1])
     facet = (centre[0], centre[1], facets.heights[f])
@@ -301,7 +302,7 @@ def _polish_facet(f, views, facets, polishing, window, optics, found):
         damping = 1e-2
         best = _normal_equations(views, levels, pitch, pixels, sighting, jtj, jtr, k < rule.most)
         for _ in range(rule.iterations if k < rule.most else 0):
-            polishing_step(jtj, jtr, damping, per_mm, rule.isotropic, step)
+            polishing_step(jtj, jtr, damping, per_mm, rule.isotropic, room, step)
             for a in range(PARAMETERS):
                 q[a] = p[a] + step[a]
             trial = np.float32(np.inf)

@@ -6,6 +6,7 @@ import numpy as np
 
 from magiclens.contract.artifacts import Candidates, FloatArray, Scene
 from magiclens.images import to_display
+from magiclens.kernels.lanes import with_room
 from magiclens.kernels.threads import side_by_side
 from magiclens.matching.channels import Channels, stack_channels
 from magiclens.matching.evaluation_kernels import Staircase, evaluate
@@ -64,16 +65,16 @@ def finish(
         isotropic: whether maps stay multiples of the identity.
     """
     lens, pixels, per_mm = scene.lens, 2 * options.pixels, 1 / channels.source_px_mm
-    tiles = channels.tiles(lens.facets, pixels)[rows].reshape(len(pool.errors), -1, pixels, pixels)
+    values = channels.tiles(lens.facets, pixels)[rows].reshape(len(pool.errors), -1, pixels, pixels)
     centres, window = lens.facet_centres_mm()[rows].reshape(-1, 2) * (1, -1), options.window_on(lens)
-    levels = blur_levels(channels.source, channels.source_px_mm, seen_grain(scene), WIDTHS_MM)
-    polish(
-        Tiles(_channels_last(tiles), centres, lens.pitch_mm), Levels(_channels_last(levels), np.array(WIDTHS_MM)),
-        per_mm, window, PolishingRule(options.polish, ITERATIONS, isotropic), image_optics_of(scene), pool.found,
-    )  # fmt: skip
+    tiles = Tiles(_interleaved(values), centres, lens.pitch_mm)
+    rule = PolishingRule(options.polish, ITERATIONS, isotropic)
+    blurred = blur_levels(channels.source, channels.source_px_mm, seen_grain(scene), WIDTHS_MM)
+    levels = Levels(_interleaved(blurred), np.array(WIDTHS_MM))
+    polish(tiles, levels, per_mm, window, rule, image_optics_of(scene), pool.found)
     pool.drop(options.acceptance)
     stairs = Staircase(lens.microfacets, flat_scale(scene), DISPLAY_TABLE)
-    evaluate(Tiles(tiles, centres, lens.pitch_mm), channels.source, per_mm, stairs, window, pool.found)
+    evaluate(tiles, _interleaved(channels.source), per_mm, stairs, window, pool.found)
     pool.drop(options.acceptance)
     pool.sort()
 
@@ -124,6 +125,9 @@ def _box(width: float) -> FloatArray:
     return np.concatenate([[rest], np.ones(2 * whole + 1), [rest]]) / width
 
 
-def _channels_last(images: FloatArray) -> FloatArray:
-    """(..., H, W, C) of images (..., C, H, W)."""
-    return np.ascontiguousarray(np.moveaxis(images, -3, -1))
+def _interleaved(images: FloatArray) -> FloatArray:
+    """(..., H, W, C) of images (..., C, H, W), with room for lanes."""
+    moved = np.moveaxis(images, -3, -1)
+    out = with_room(moved.shape)
+    out[...] = moved
+    return out

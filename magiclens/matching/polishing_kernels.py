@@ -13,9 +13,11 @@ import numpy as np
 from magiclens.contract.artifacts import FloatArray
 from magiclens.kernels.cholesky import solve_damped
 from magiclens.kernels.compiler import njit
+from magiclens.kernels.lanes import LANES, lanes_at, no_lanes, sum_of_lanes
 from magiclens.kernels.resuming import blocks, resumable
-from magiclens.kernels.sampling import clamped_cell
 from magiclens.kernels.threads import in_threads
+from magiclens.kernels.uncounted import uncounted
+from magiclens.matching.look_up_kernels import look, places_for
 from magiclens.matching.reachability_kernels import distance_term, reachable
 from magiclens.matching.tuples import Found, Levels, PolishingRule, Tiles, Window
 from magiclens.optics.medium import Optics
@@ -24,68 +26,88 @@ PARAMETERS = 5
 """How many parameters are polished: offset x, y and map xx, xy, yy."""
 
 
-@njit(cache=True, fastmath=True)
-def _normal_equations(tile, levels, per_mm, centre, px, p, jtj, jtr):
+@njit(cache=True)
+def _places_of(tiles):
+    """The ``Places`` of a tile: one for each pixel."""
+    pixels = tiles.values.shape[1]
+    found, px = places_for(pixels * pixels), tiles.pitch / pixels
+    for k in range(len(found.u)):
+        found.u[k], found.v[k] = (k % pixels - 0.5 * (pixels - 1)) * px, (k // pixels - 0.5 * (pixels - 1)) * px
+    return found
+
+
+# not plain fastmath, which takes infinity, a limit that there is not, for impossible
+@njit(cache=True, fastmath={"contract", "reassoc", "arcp", "nsz"})
+def _normal_equations(f, p, seen, limit, jtj, jtr):
     """Mean squared difference of a tile and the patch that parameters p show; fills J^T J (lower half) and J^T r.
 
     ``r = source(c + R + M u) - tile(u)``. A residual's derivatives are the source's slopes (gx, gy), times u and v for
     the map: sums over gx^2, gx gy, gy^2 and gx r, gy r, weighted by powers of u along a row, have all of them.
+
+    A difference that turns out to be larger than the limit is infinity, and nothing is filled in.
     """
-    pixels, _, channels = tile.shape
-    seen = px * math.sqrt(abs(p[2] * p[4] - p[3] * p[3]))
-    level = 0
-    while level + 1 < len(levels.widths) and levels.widths[level + 1] < 1.4 * seen:
+    tiles, levels, per_mm, places = seen
+    _, pixels, _, channels = tiles.values.shape
+    level, footprint = 0, tiles.pitch / pixels * math.sqrt(abs(p[2] * p[4] - p[3] * p[3]))
+    while level + 1 < len(levels.widths) and levels.widths[level + 1] < 1.4 * footprint:
         level += 1
-    image = levels.images[level]
-    rows, columns = image.shape[0], image.shape[1]
-    half_w, half_h = 0.5 * columns - 0.5, 0.5 * rows - 0.5
-    jtj[:], jtr[:], total = 0.0, 0.0, 0.0
-    for ky in range(pixels):
-        v = (ky - 0.5 * (pixels - 1)) * px
-        xx0 = xx1 = xx2 = xy0 = xy1 = xy2 = yy0 = yy1 = yy2 = xr0 = xr1 = yr0 = yr1 = np.float32(0.0)
-        for kx in range(pixels):
-            u = (kx - 0.5 * (pixels - 1)) * px
-            x = (centre[0] + p[0] + p[2] * u + p[3] * v) * per_mm + half_w
-            y = (centre[1] + p[1] + p[3] * u + p[4] * v) * per_mm + half_h
-            j, i, dx, dy = clamped_cell(x, y, columns, rows)
-            fx, fy, u = np.float32(dx), np.float32(dy), np.float32(u)
-            xx = xy = yy = xr = yr = np.float32(0.0)
-            for c in range(channels):
-                tl, tr, bl, br = image[i, j, c], image[i, j + 1, c], image[i + 1, j, c], image[i + 1, j + 1, c]
+    shape = levels.images.shape[1:]
+    look(places, (tiles.centres[f, 0] + p[0], tiles.centres[f, 1] + p[1]), (p[2], p[3], p[4]), per_mm, shape)
+    start, size, one = level * shape[0] * shape[1] * channels, channels * pixels * pixels, np.uint64(channels)
+    down = np.uint64(shape[1] * channels)
+    jtj[:], jtr[:], total, most = 0.0, 0.0, np.float32(0.0), np.float32(limit * size)
+    for c in range(0, channels, LANES):
+        squares, counted = no_lanes(), channels - c
+        r0 = r1 = r2 = r3 = r4 = no_lanes()
+        a00 = a10 = a11 = a20 = a21 = a22 = a30 = a31 = a32 = a33 = a40 = a41 = a42 = a43 = a44 = no_lanes()
+        for row in range(0, pixels * pixels, pixels):
+            xx0 = xx1 = xx2 = xy0 = xy1 = xy2 = yy0 = yy1 = yy2 = xr0 = xr1 = yr0 = yr1 = no_lanes()
+            for k in range(np.uint64(row), np.uint64(row + pixels)):
+                fx, fy, u = places.right[k], places.below[k], np.float32(places.u[k])
+                n = np.uint64(start + places.first[k] + c)
+                tl, tr = lanes_at(levels.images, n), lanes_at(levels.images, n + one)
+                bl, br = lanes_at(levels.images, n + down), lanes_at(levels.images, n + down + one)
                 top, low = tl + (tr - tl) * fx, bl + (br - bl) * fx
                 gx, gy = (tr - tl) + ((br - bl) - (tr - tl)) * fy, low - top
-                r = top + gy * fy - tile[ky, kx, c]
-                xx += gx * gx
-                xy += gx * gy
-                yy += gy * gy
-                xr += gx * r
-                yr += gy * r
-                total += r * r
-            xx0, xx1, xx2 = xx0 + xx, xx1 + xx * u, xx2 + xx * u * u
-            xy0, xy1, xy2 = xy0 + xy, xy1 + xy * u, xy2 + xy * u * u
-            yy0, yy1, yy2 = yy0 + yy, yy1 + yy * u, yy2 + yy * u * u
-            xr0, xr1, yr0, yr1 = xr0 + xr, xr1 + xr * u, yr0 + yr, yr1 + yr * u
-        jtr[0] += xr0
-        jtr[1] += yr0
-        jtr[2] += xr1
-        jtr[3] += xr0 * v + yr1
-        jtr[4] += yr0 * v
-        jtj[0, 0] += xx0
-        jtj[1, 0] += xy0
-        jtj[1, 1] += yy0
-        jtj[2, 0] += xx1
-        jtj[2, 1] += xy1
-        jtj[2, 2] += xx2
-        jtj[3, 0] += xx0 * v + xy1
-        jtj[3, 1] += xy0 * v + yy1
-        jtj[3, 2] += xx1 * v + xy2
-        jtj[3, 3] += xx0 * v * v + 2 * xy1 * v + yy2
-        jtj[4, 0] += xy0 * v
-        jtj[4, 1] += yy0 * v
-        jtj[4, 2] += xy1 * v
-        jtj[4, 3] += xy0 * v * v + yy1 * v
-        jtj[4, 4] += yy0 * v * v
-    return total / (channels * pixels * pixels)
+                r = top + gy * fy - lanes_at(tiles.values, np.uint64(f * size + c) + k * one)
+                squares = squares + r * r
+                gxu, gyu = gx * u, gy * u
+                xx0, xx1, xx2 = xx0 + gx * gx, xx1 + gx * gxu, xx2 + gxu * gxu
+                xy0, xy1, xy2 = xy0 + gx * gy, xy1 + gx * gyu, xy2 + gxu * gyu
+                yy0, yy1, yy2 = yy0 + gy * gy, yy1 + gy * gyu, yy2 + gyu * gyu
+                xr0, xr1, yr0, yr1 = xr0 + gx * r, xr1 + gxu * r, yr0 + gy * r, yr1 + gyu * r
+            if total + sum_of_lanes(squares, counted) > most:
+                return np.inf
+            v = np.float32(places.v[row])
+            r0, r1, r2, r3, r4 = r0 + xr0, r1 + yr0, r2 + xr1, r3 + (xr0 * v + yr1), r4 + yr0 * v
+            a00, a10, a11 = a00 + xx0, a10 + xy0, a11 + yy0
+            a20, a21, a22 = a20 + xx1, a21 + xy1, a22 + xx2
+            a30, a31, a32 = a30 + (xx0 * v + xy1), a31 + (xy0 * v + yy1), a32 + (xx1 * v + xy2)
+            a33 = a33 + ((xx0 * v + (xy1 + xy1)) * v + yy2)
+            a40, a41, a42 = a40 + xy0 * v, a41 + yy0 * v, a42 + xy1 * v
+            a43, a44 = a43 + (xy0 * v + yy1) * v, a44 + yy0 * v * v
+        total += sum_of_lanes(squares, counted)
+        jtr[0] += sum_of_lanes(r0, counted)
+        jtr[1] += sum_of_lanes(r1, counted)
+        jtr[2] += sum_of_lanes(r2, counted)
+        jtr[3] += sum_of_lanes(r3, counted)
+        jtr[4] += sum_of_lanes(r4, counted)
+        jtj[0, 0] += sum_of_lanes(a00, counted)
+        jtj[1, 0] += sum_of_lanes(a10, counted)
+        jtj[1, 1] += sum_of_lanes(a11, counted)
+        jtj[2, 0] += sum_of_lanes(a20, counted)
+        jtj[2, 1] += sum_of_lanes(a21, counted)
+        jtj[2, 2] += sum_of_lanes(a22, counted)
+        jtj[3, 0] += sum_of_lanes(a30, counted)
+        jtj[3, 1] += sum_of_lanes(a31, counted)
+        jtj[3, 2] += sum_of_lanes(a32, counted)
+        jtj[3, 3] += sum_of_lanes(a33, counted)
+        jtj[4, 0] += sum_of_lanes(a40, counted)
+        jtj[4, 1] += sum_of_lanes(a41, counted)
+        jtj[4, 2] += sum_of_lanes(a42, counted)
+        jtj[4, 3] += sum_of_lanes(a43, counted)
+        jtj[4, 4] += sum_of_lanes(a44, counted)
+    return total / size
 
 
 # element by element: numba compiles an assignment of slices for seconds, with the texts of its errors
@@ -104,7 +126,7 @@ def write_candidate(p, found, f, k):
 
 
 @njit(cache=True)
-def polishing_step(jtj, jtr, damping, per_mm, isotropic, step):
+def polishing_step(jtj, jtr, damping, per_mm, isotropic, room, step):
     """Fill step (5,) with a damped Gauss-Newton step of the parameters, mm.
 
     Args:
@@ -113,22 +135,22 @@ def polishing_step(jtj, jtr, damping, per_mm, isotropic, step):
         damping: relative to the diagonal.
         per_mm: source pixels per mm.
         isotropic: whether only the offset and one scale may change.
+        room: (5, 5) float64, overwritten.
         step: to fill.
     """
     n = 3 if isotropic else PARAMETERS
-    a = np.zeros((n, n))
-    b = np.zeros(n)
-    to = (0, 1, 2, -1, 2) if isotropic else (0, 1, 2, 3, 4)
-    for m in range(PARAMETERS):
-        if to[m] < 0:
-            continue
-        b[to[m]] -= jtr[m] * per_mm
-        for k in range(PARAMETERS):
-            if to[k] >= 0:
-                a[to[m], to[k]] += jtj[max(m, k), min(m, k)] * per_mm * per_mm
-    solve_damped(a, b, damping)
-    for m in range(PARAMETERS):
-        step[m] = b[to[m]] if to[m] >= 0 else 0.0
+    for m in range(n):
+        step[m] = -jtr[m] * per_mm
+        for k in range(m + 1):
+            room[m, k] = jtj[m, k] * per_mm * per_mm
+    if isotropic:  # the scale is xx and yy at once
+        step[2] -= jtr[4] * per_mm
+        room[2, 0] += jtj[4, 0] * per_mm * per_mm
+        room[2, 1] += jtj[4, 1] * per_mm * per_mm
+        room[2, 2] += (2 * jtj[4, 2] + jtj[4, 4]) * per_mm * per_mm
+    solve_damped(room, step, n, damping)
+    if isotropic:
+        step[3], step[4] = 0.0, step[2]
 
 
 @njit(cache=True)
@@ -145,25 +167,24 @@ def _inside(q, centre, half, edge, window, isotropic):
 @njit(cache=True)
 def _polish_facet(f, tiles, levels, per_mm, window, rule, optics, found):
     """Polish the candidates of facet f, see ``polish``."""
-    px, half = tiles.pitch / tiles.values.shape[1], 0.5 * tiles.pitch
-    edge = 0.5 * levels.images.shape[2] / per_mm
+    half, edge = 0.5 * tiles.pitch, 0.5 * levels.images.shape[2] / per_mm
+    tiles, levels, found = uncounted(tiles), uncounted(levels), uncounted(found)
+    centre, seen = (tiles.centres[f, 0], tiles.centres[f, 1]), (tiles, levels, per_mm, _places_of(tiles))
     jtj, jtr = np.zeros((2, PARAMETERS, PARAMETERS)), np.zeros((2, PARAMETERS))
-    step, now = np.zeros(PARAMETERS), 0
-    p, q = np.zeros(PARAMETERS), np.zeros(PARAMETERS)
-    tile, centre = tiles.values[f], (tiles.centres[f, 0], tiles.centres[f, 1])
+    room, step = np.zeros((PARAMETERS, PARAMETERS)), np.zeros(PARAMETERS)
+    p, q, now = np.zeros(PARAMETERS), np.zeros(PARAMETERS), 0
     for k in range(found.errors.shape[1]):
         if not np.isfinite(found.errors[f, k]):
             continue
         read_candidate(found, f, k, p)
-        damping = 1e-2
-        best = _normal_equations(tile, levels, per_mm, centre, px, p, jtj[now], jtr[now])
+        best, damping = _normal_equations(f, p, seen, np.inf, jtj[now], jtr[now]), 1e-2
         for _ in range(rule.iterations if k < rule.most else 0):
-            polishing_step(jtj[now], jtr[now], damping, per_mm, rule.isotropic, step)
+            polishing_step(jtj[now], jtr[now], damping, per_mm, rule.isotropic, room, step)
             for a in range(PARAMETERS):
                 q[a] = p[a] + step[a]
             other, trial = 1 - now, np.inf
             if _inside(q, centre, half, edge, window, rule.isotropic):
-                trial = _normal_equations(tile, levels, per_mm, centre, px, q, jtj[other], jtr[other])
+                trial = _normal_equations(f, q, seen, best, jtj[other], jtr[other])
             # whether refraction can do it is asked last, as it takes long and is seldom denied
             if trial < best and reachable(centre, (q[0], q[1]), (q[2], q[3], q[4]), half, optics):
                 gain, best, now = best - trial, trial, other
@@ -194,8 +215,8 @@ def polish(
     All candidates, polished or not, get their error at the sub-pixel position, so that they can be compared.
 
     Args:
-        tiles: ``Tiles`` (F, P, P, C).
-        levels: ``Levels`` (L, H, W, C) of the source.
+        tiles: ``Tiles`` (F, P, P, C), with room for lanes.
+        levels: ``Levels`` (L, H, W, C) of the source, with room for lanes.
         per_mm: source pixels per mm.
         window: the search window, which candidates do not leave.
         rule: how many are polished, and how.

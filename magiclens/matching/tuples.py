@@ -14,7 +14,7 @@ class Tiles(NamedTuple):
     """What the facets shall show.
 
     Args:
-        values: (F, C, P, P) float32, or (F, P, P, C) for polishing, display values.
+        values: (F, C, P, P) float32, or (F, P, P, C) for polishing and evaluation, display values.
         centres: (F, 2) of the facets, mm.
         pitch: side of a facet, mm.
     """
