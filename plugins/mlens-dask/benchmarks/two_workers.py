@@ -37,7 +37,7 @@ lens: {size: 60mm, facets: 24, microfacets: 8, relief: 8mm}
 pipeline:
   matcher: {type: exhaustive, window: 20%, scales: [0.1, 0.2, 0.3, 0.5, 0.8]}
 """
-_ONE = "lens: {size: 60mm, facets: 48, microfacets: 22, relief: 8mm}"
+_ONE = "lens: {size: 60mm, facets: 64, microfacets: 22, relief: 8mm}"
 _SMALL = ["lens.facets=8"]
 
 
