@@ -73,25 +73,25 @@ class _Facets:
     def _loss(self, flat: FloatArray, centre: FloatArray) -> tuple[float, FloatArray]:
         """Sum of squared residuals, and its gradient along the heights."""
         from magiclens.integration.refinement_kernels import (
-            Rays,
             Shown,
             predict_facet,
             residual_change_transposed,
+            room_for_rays,
+            tile_of,
             triangle_slopes_transposed,
         )
 
         k, samples, pictures = self._heights.shape[1], self._samples, self._pictures
-        eyes, triangles, channels = len(pictures.eyes_mm), 2 * (k - 1) ** 2, len(pictures.plane)
-        rays = Rays(*(np.zeros((eyes, triangles, 2, *more)) for more in ((), (2,), (2,))))
+        triangles, channels = 2 * (k - 1) ** 2, len(pictures.plane)
         shown = Shown(
-            np.zeros((triangles, 2)), np.zeros((samples.pixels**2, channels), np.float32),
-            np.zeros((len(samples.pixel), 2, channels), np.float32),
+            np.zeros((2, triangles)), np.zeros((channels, samples.pixels**2), np.float32),
+            np.zeros((channels, 2, len(samples.triangle)), np.float32),
         )  # fmt: skip
-        heights = flat.reshape(k, k)
-        error = predict_facet(heights, centre, samples, pictures, self._optics, np.bool_(True), rays, shown)
+        facet = (flat.reshape(k, k), centre, samples, pictures, self._optics)
+        error = predict_facet(*facet, tile_of(*facet), room_for_rays(samples), shown)
         if not np.isfinite(error):
             return 1e9, np.zeros_like(flat)
-        forces, gradient = np.zeros((triangles, 2)), np.zeros((k, k))
+        forces, gradient = np.zeros((2, triangles)), np.zeros((k, k))
         residual_change_transposed(samples, shown, shown.residuals, forces)
         triangle_slopes_transposed(forces, samples.cell_mm, gradient)
         return float((shown.residuals.astype(np.float64) ** 2).sum()), 2 * gradient.ravel()

@@ -21,11 +21,12 @@ from magiclens.integration.laplacian import cosines
 from magiclens.integration.poisson import Poisson
 from magiclens.integration.refinement import optics_for, pictures_of, predicted_errors, samples_of
 from magiclens.integration.refinement_kernels import (
-    Rays,
     Shown,
     predict_facet,
     residual_change,
     residual_change_transposed,
+    room_for_rays,
+    tile_of,
     to_field,
     to_spectrum,
     triangle_slopes,
@@ -223,18 +224,19 @@ def test_pixels_and_triangles_are_the_sums_of_their_pieces(microfacets: int) -> 
     samples = samples_of(lens)
     per_cell = (samples.pixels / m) ** 2
     assert samples.cell_mm == pytest.approx((lens.pitch_mm - lens.wall_mm) / m)
-    pixels, triangles = np.bincount(samples.pixel, samples.share), np.bincount(samples.triangle, samples.share)
+    of_piece = np.concatenate([samples.pixel[:count] for count in np.diff(samples.layers)])
+    pixels, triangles = np.bincount(of_piece, samples.share), np.bincount(samples.triangle, samples.share)
     np.testing.assert_allclose(pixels, np.ones(samples.pixels**2), rtol=1e-6)
     np.testing.assert_allclose(triangles, np.full(2 * m * m, 0.5 * per_cell), rtol=1e-6)
     # the centroids of pieces have that of their triangle or pixel in their middle
-    i, j = np.divmod(samples.triangle.astype(int) // 2, m)
-    right = j + (1 + samples.triangle % 2) / 3 + samples.right_mm / samples.cell_mm
-    down = i + (2 - samples.triangle % 2) / 3 - samples.up_mm / samples.cell_mm
+    half = 0.5 * m * samples.cell_mm
+    right = samples.centroids_mm[0, samples.triangle] + samples.right_mm + half
+    down = half - samples.centroids_mm[1, samples.triangle] - samples.up_mm
     for way in (samples.right_mm, samples.up_mm):
         np.testing.assert_allclose(np.bincount(samples.triangle, samples.share * way), 0, atol=1e-6)
     for way, middle in zip((down, right), np.divmod(np.arange(samples.pixels**2), samples.pixels), strict=True):
         np.testing.assert_allclose(
-            np.bincount(samples.pixel, samples.share * way), (middle + 0.5) * m / samples.pixels, rtol=1e-6
+            np.bincount(of_piece, samples.share * way), (middle + 0.5) * 2 * half / samples.pixels, rtol=1e-5
         )
 
 
@@ -375,18 +377,17 @@ class Facet:
         self.seen = self.look(self.heights)
 
     def look(self, heights: FloatArray) -> Shown:
-        pixels, pieces, eyes = self.samples.pixels**2, len(self.samples.pixel), len(self.pictures.eyes_mm)
-        landing, derivatives = np.zeros((eyes, self.triangles, 2)), np.zeros((2, eyes, self.triangles, 2, 2))
-        residuals = np.zeros((pixels, self.channels), np.float32)
-        gradients = np.zeros((pieces, 2, self.channels), np.float32)
-        seen = Shown(np.zeros((self.triangles, 2)), residuals, gradients)
-        rays = Rays(landing, *derivatives)
-        error = predict_facet(heights, self.centre, self.samples, self.pictures, self.optics, True, rays, seen)
+        pixels, pieces = self.samples.pixels**2, len(self.samples.triangle)
+        residuals = np.zeros((self.channels, pixels), np.float32)
+        gradients = np.zeros((self.channels, 2, pieces), np.float32)
+        seen, rays = Shown(np.zeros((2, self.triangles)), residuals, gradients), room_for_rays(self.samples)
+        facet = (heights, self.centre, self.samples, self.pictures, self.optics)
+        error = predict_facet(*facet, tile_of(*facet), rays, seen)
         assert error == pytest.approx((seen.residuals.astype(float) ** 2).mean(), rel=1e-5)
         return seen
 
     def slopes(self, heights: FloatArray) -> FloatArray:
-        out = np.zeros((self.triangles, 2))
+        out = np.zeros((2, self.triangles))
         triangle_slopes(heights, self.samples.cell_mm, out)
         return out
 
@@ -413,14 +414,14 @@ def test_slopes_are_those_along_plus_x_and_plus_y() -> None:
     facet = Facet(one_view)
     right, down = np.meshgrid(np.arange(9), np.arange(9))
     slopes = facet.slopes(facet.samples.cell_mm * (0.2 * right - 0.3 * down))
-    np.testing.assert_allclose(slopes, np.broadcast_to((0.2, 0.3), slopes.shape), atol=1e-12)
+    np.testing.assert_allclose(slopes, np.broadcast_to([[0.2], [0.3]], slopes.shape), atol=1e-12)
 
 
 @scenes
 def test_forces_are_pulled_back_the_way_that_changes_go(make: Callable[[], Scene]) -> None:
     """Of heights and slopes, and of slopes and residuals."""
     facet, rng = Facet(make), np.random.default_rng(RNG)
-    heights, forces = rng.normal(size=facet.heights.shape), rng.normal(size=(facet.triangles, 2))
+    heights, forces = rng.normal(size=facet.heights.shape), rng.normal(size=(2, facet.triangles))
     pulled = np.zeros_like(heights)
     triangle_slopes_transposed(forces, facet.samples.cell_mm, pulled)
     assert (pulled * heights).sum() == pytest.approx((forces * facet.slopes(heights)).sum(), rel=1e-9)

@@ -214,15 +214,28 @@ def samples_of(lens: Lens) -> Samples:
     area, right, down = _halves(first / pixels, (first + np.diff(lines)) / pixels)
     upper, row, column = np.nonzero(area > _LEAST_PIECE)
     area, right, down = (a[upper, row, column] for a in (area, right, down))
-    of_pixel = lines[:-1] // m
-    pixel, triangle = of_pixel[row] * pixels + of_pixel[column], 2 * (of_cell[row] * m + of_cell[column]) + upper
+    of_pixel, i, j = lines[:-1] // m, of_cell[row], of_cell[column]
     # triangles' centroids lie a third of a cell from the right angle, which is at the lower left or at the upper right
-    right_mm, up_mm = (right - (1 + upper) / 3) * cell, ((2 - upper) / 3 - down) * cell
-    share = (area * (pixels / m) ** 2).astype(np.float32)
+    right, up = right - (1 + upper) / 3, (2 - upper) / 3 - down
+    pixel, triangle = of_pixel[row] * pixels + of_pixel[column], (upper * m + i) * m + j
+    # a piece's layer is the number of those of its pixel before it
     order = np.lexsort((triangle, pixel))
-    # numbers without signs, so that kernels need not look for negative indices
-    pixel, triangle = pixel[order].astype(np.uint32), triangle[order].astype(np.uint32)
-    return Samples(cell, pixels, pixel, triangle, right_mm[order], up_mm[order], share[order])
+    layer = np.empty_like(pixel)
+    layer[order] = np.arange(len(pixel)) - np.searchsorted(pixel[order], pixel[order])
+    of_pixels = np.argsort(-np.bincount(pixel), kind="stable")
+    order = np.lexsort((np.argsort(of_pixels)[pixel], layer))
+    upper_of, i_of, j_of = np.indices((2, m, m)).reshape(3, -1)
+    return Samples(
+        cell,
+        pixels,
+        np.stack([j_of + (1 + upper_of) / 3 - m / 2, m / 2 - i_of - (2 - upper_of) / 3]) * cell,
+        of_pixels,
+        np.append(0, np.bincount(layer).cumsum()),
+        triangle[order].astype(np.uint32),  # without signs, so that kernels need not look for negative indices
+        (right[order] * cell).astype(np.float32),
+        (up[order] * cell).astype(np.float32),
+        (area[order] * (pixels / m) ** 2).astype(np.float32),
+    )
 
 
 def _halves(first: FloatArray, end: FloatArray) -> FloatArray:

@@ -24,8 +24,6 @@ from magiclens.optics.medium import Optics
 
 SLOPE_STEP = 1e-4
 """Change of a triangle's slope over which derivatives are taken by finite differences."""
-_SPAN_STEP_MM = 0.02
-"""Way over a triangle, mm, over which derivatives are taken by finite differences."""
 LIGHT_STEP = 20
 """Entries of the display table on each side over which its slope is taken: near black it is steep."""
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 0.5, 1e-4, 1e2
@@ -34,27 +32,36 @@ _WORSE = 10.0
 """Factor of the damping after a step that is not taken."""
 _FLATNESS = 1e-3
 """Pull on heights, beside that on slopes, per mm^2: it keeps a facet's mean where it is."""
+_ROUNDING = {"contract", "reassoc", "arcp"}
+"""Flags that relax rounding alone; none lets the compiler assume that there is no infinity or NaN."""
 
 
 class Samples(NamedTuple):
     """Where on a facet its picture is sampled; the same for all facets.
 
-    The sides of pixels and of triangles cut a facet into K pieces, each of one pixel and one triangle; they are sorted
-    by pixel. Triangle 2 (i m + j) is the lower left half of cell (i, j), the next one the upper right.
+    The sides of pixels and of triangles cut a facet into K pieces, each of one pixel and one triangle. Pieces are in
+    layers: the first has a piece of each pixel, the next one another of each pixel that has two, and so on. Pixels are
+    sorted by their number of pieces, so that the pieces of a layer are those of the first so many pixels, which
+    processors work on side by side. Triangle i m + j is the lower left half of cell (i, j), triangle m^2 + i m + j the
+    upper right.
 
     Args:
         cell_mm: side of a micro-facet, mm.
         pixels: P.
-        pixel: (K,) of each piece.
-        triangle: (K,) of each piece.
-        right_mm: (K,) distance of a piece's centroid from its triangle's along +x, mm.
-        up_mm: (K,) the same along +y, mm.
+        centroids_mm: (2, T) centroids of the triangles along +x and +y, from the facet's centre, mm.
+        pixel: (P P,) row by row, of the sorted ones.
+        layers: (S + 1,) layer s has the pieces layers[s] to layers[s + 1] - 1.
+        triangle: (K,) uint32 of each piece.
+        right_mm: (K,) float32 distance of a piece's centroid from its triangle's along +x, mm.
+        up_mm: (K,) float32 the same along +y, mm.
         share: (K,) float32 of its pixel's area.
     """
 
     cell_mm: float
     pixels: int
+    centroids_mm: FloatArray
     pixel: IntArray
+    layers: IntArray
     triangle: IntArray
     right_mm: FloatArray
     up_mm: FloatArray
@@ -113,13 +120,25 @@ class Descent(NamedTuple):
     enough: float
 
 
+class Tile(NamedTuple):
+    """What a facet should show.
+
+    Args:
+        targets: (C, P P) float32 display values.
+        seen: (C, P P) float32 1 for pixels within the lens's square as the channel's eye sees it, 0 for others.
+    """
+
+    targets: FloatArray
+    seen: FloatArray
+
+
 class Shown(NamedTuple):
     """What a facet shows, and how that changes with its slopes.
 
     Args:
-        slopes: (T, 2) slopes of the triangles along +x and +y.
-        residuals: (P P, C) float32 what is shown less the target, display values.
-        gradients: (K, 2, C) float32 derivatives of a piece's share of its pixel along the slopes of its triangle.
+        slopes: (2, T) slopes of the triangles along +x and +y.
+        residuals: (C, P P) float32 what is shown less the target, display values.
+        gradients: (C, 2, K) float32 derivatives of a piece's share of its pixel along the slopes of its triangle.
     """
 
     slopes: FloatArray
@@ -127,18 +146,44 @@ class Shown(NamedTuple):
     gradients: FloatArray
 
 
-class Rays(NamedTuple):
-    """Where the rays through a facet's triangles land.
+class _Rays(NamedTuple):
+    """Where the rays of an eye land that pass through a facet's triangles, and where pieces of them look.
 
     Args:
-        landing: (..., T, 2) landing point of the ray through a triangle's centroid, mm.
-        by_slope: (..., T, 2, 2) its derivatives: [slope, x or y of the landing point], mm.
-        by_position: (..., T, 2, 2) derivatives along +x and +y over the triangle: [direction, x or y], mm per mm.
+        points: (2, T) exp(-h / D), see ``HeightField``, and z of the triangles' centroids, mm.
+        landing: (2, T) float32 x and y of the landing point of the ray through a triangle's centroid, mm.
+        by_slope: (2, 2, T) float32 its derivatives: [slope, x or y], mm.
+        by_position: (2, 2, T) float32 those along +x and +y over the triangle: [direction, x or y], mm per mm.
+        pixel: (K,) uint32 the source's pixel to the upper left of where a piece looks, row by row.
+        between: (2, K) float32 how far to the right and down from that pixel to the next it looks.
+        weight: (K,) float32 share of its pixel's area; 0 beside the source.
+        pull: (2, 2, K) float32 derivatives by slope, times that share: [slope, x or y], pixels of the source.
     """
 
+    points: FloatArray
     landing: FloatArray
     by_slope: FloatArray
     by_position: FloatArray
+    pixel: IntArray
+    between: FloatArray
+    weight: FloatArray
+    pull: FloatArray
+
+
+@njit(cache=True)
+def room_for_rays(samples):
+    """Room for the rays of one eye through a facet."""
+    triangles, pieces = samples.centroids_mm.shape[1], len(samples.triangle)
+    return _Rays(
+        np.zeros((2, triangles)),
+        np.zeros((2, triangles), np.float32),
+        np.zeros((2, 2, triangles), np.float32),
+        np.zeros((2, 2, triangles), np.float32),
+        np.zeros(pieces, np.uint32),
+        np.zeros((2, pieces), np.float32),
+        np.zeros(pieces, np.float32),
+        np.zeros((2, 2, pieces), np.float32),
+    )
 
 
 @njit(cache=True)
@@ -172,128 +217,166 @@ def land_by_slopes(u, v, height, along_u, along_v, eye, optics):
 
 @njit(cache=True)
 def triangle_slopes(heights, cell, out):
-    """Fill out (T, 2) with the slopes of a facet's triangles along +x and +y, which are linear in its heights."""
-    m = len(heights) - 1
+    """Fill out (2, T) with the slopes of a facet's triangles along +x and +y, which are linear in its heights."""
+    m, each = len(heights) - 1, 1.0 / cell
+    lower, upper = out[:, : m * m], out[:, m * m :]
     for i in range(m):
         for j in range(m):
             tl, tr, bl, br = heights[i, j], heights[i, j + 1], heights[i + 1, j], heights[i + 1, j + 1]
-            t = 2 * (i * m + j)
-            out[t, 0], out[t, 1] = (br - bl) / cell, (tl - bl) / cell
-            out[t + 1, 0], out[t + 1, 1] = (tr - tl) / cell, (tr - br) / cell
+            t = i * m + j
+            lower[0, t], lower[1, t] = (br - bl) * each, (tl - bl) * each
+            upper[0, t], upper[1, t] = (tr - tl) * each, (tr - br) * each
 
 
 @njit(cache=True)
 def triangle_slopes_transposed(forces, cell, out):
-    """Fill out (k, k) with the transpose of ``triangle_slopes``, applied to forces (T, 2)."""
-    m = len(out) - 1
+    """Fill out (k, k) with the transpose of ``triangle_slopes``, applied to forces (2, T)."""
+    m, each = len(out) - 1, 1.0 / cell
+    lower, upper = forces[:, : m * m], forces[:, m * m :]
     out[:] = 0.0
     for i in range(m):
         for j in range(m):
-            t = 2 * (i * m + j)
-            a, b = forces[t, 0] / cell, forces[t, 1] / cell
-            out[i + 1, j + 1] += a
+            t = i * m + j
+            a, b = lower[0, t] * each, lower[1, t] * each
+            c, d = upper[0, t] * each, upper[1, t] * each
+            out[i, j] += b - c
+            out[i, j + 1] += c + d
             out[i + 1, j] -= a + b
-            out[i, j] += b
-            a, b = forces[t + 1, 0] / cell, forces[t + 1, 1] / cell
-            out[i, j + 1] += a + b
-            out[i, j] -= a
-            out[i + 1, j + 1] -= b
+            out[i + 1, j + 1] += a - d
 
 
 @njit(cache=True)
-def _aim(heights, slopes, centre, eye, samples, optics, derive, rays):
-    """Fill rays with every triangle's landing point and its derivatives, by finite differences, equal in cells' halves.
+def _raise(heights, optics, points):
+    """Fill points (2, T) with exp(-h / D) and z of the centroids of a facet's triangles, see ``_Rays``."""
+    m, far = len(heights) - 1, optics.eye[2] - optics.depth
+    for upper in range(2):
+        for i in range(m):
+            for j in range(m):
+                t = (upper * m + i) * m + j
+                h = (heights[i, j] + heights[i + 1, j + 1] + heights[i + 1 - upper, j + upper]) / 3
+                points[0, t] = 1.0 if optics.vertical else math.exp(-h / far)
+                points[1, t] = optics.depth + h if optics.vertical else optics.eye[2] - points[0, t] * far
+
+
+@njit(cache=True, fastmath=_ROUNDING)
+def _aim(slopes, centre, eye, samples, optics, rays):
+    """Fill in where the rays through a facet's triangles land, and the derivatives.
+
+    It is ``land_by_slopes`` and its differential, in a loop without branches, which processors run side by side. With
+    the ray's direction d, the unit normal n, the direction ``t = d / ior + b n`` in the slab and the reach ``g = gap
+    ior / cos_out - z / t_z``, the ray through (x, y, z) lands at ``(x, y) + g t_xy``.
 
     Args:
-        heights: (k, k) of the facet, mm.
-        slopes: (T, 2) of its triangles.
+        slopes: (2, T) of its triangles.
         centre: (2,) of the facet, mm.
         eye: (3,) mm.
         samples: of a facet.
         optics: an ``optics.medium.Optics``.
-        derive: whether the derivatives are filled in; they change little from step to step.
-        rays: to fill.
+        rays: to fill; its ``points`` are given.
 
     Returns:
         False if a ray does not arrive, or a triangle is steeper than allowed.
     """
-    m, cell = len(heights) - 1, samples.cell_mm
-    for i in range(m):
-        for j in range(m):
-            for upper in range(2):
-                t = 2 * (i * m + j) + upper
-                # the centroid, a third of a cell from the right angle
-                right, down = (j + (1 + upper) / 3) * cell, (i + (2 - upper) / 3) * cell
-                u, v = centre[0] - 0.5 * m * cell + right, centre[1] + 0.5 * m * cell - down
-                third = heights[i + 1 - upper, j + upper]
-                h, a, b = (heights[i, j] + heights[i + 1, j + 1] + third) / 3, slopes[t, 0], slopes[t, 1]
-                # the ray itself, then those beside it: along both slopes and along both ways over the triangle
-                for k in range(5 if derive and not upper else 1):
-                    da, db = (SLOPE_STEP if k == 1 else 0.0), (SLOPE_STEP if k == 2 else 0.0)
-                    du, dv = (_SPAN_STEP_MM if k == 3 else 0.0), (_SPAN_STEP_MM if k == 4 else 0.0)
-                    x, y, there = land_by_slopes(u + du, v + dv, h + a * du + b * dv, a + da, b + db, eye, optics)
-                    if k == 0:
-                        if not there:
-                            return False
-                        rays.landing[t, 0], rays.landing[t, 1] = x, y
-                        continue
-                    out, step = (
-                        (rays.by_slope[t, k - 1], SLOPE_STEP) if k < 3 else (rays.by_position[t, k - 3], _SPAN_STEP_MM)
-                    )
-                    # where the neighbouring ray does not arrive, nothing is known: no change is expected
-                    out[0] = (x - rays.landing[t, 0]) / step if there else 0.0
-                    out[1] = (y - rays.landing[t, 1]) / step if there else 0.0
-                if derive and upper:  # the derivatives of the cell's other half are near enough
-                    for k in range(2):
-                        for axis in range(2):
-                            rays.by_slope[t, k, axis] = rays.by_slope[t - 1, k, axis]
-                            rays.by_position[t, k, axis] = rays.by_position[t - 1, k, axis]
-    return True
+    rho, z, (lx, ly) = rays.points[0], rays.points[1], (rays.landing[0], rays.landing[1])
+    along_u, along_v = slopes[0], slopes[1]
+    right, up = samples.centroids_mm[0], samples.centroids_mm[1]
+    lean = 0.0 if optics.vertical else 1.0 / (optics.eye[2] - optics.depth)
+    axis_x, axis_y = optics.eye[0], optics.eye[1]
+    eye_x, eye_y, eye_z = eye[0], eye[1], eye[2]
+    ior, gap = optics.ior, optics.gap * optics.ior
+    arrived = 0
+    for t in range(len(z)):
+        a, b, u, v = along_u[t], along_v[t], centre[0] + right[t] - axis_x, centre[1] + up[t] - axis_y
+        w = 1.0 - (a * u + b * v) * lean
+        q = 1.0 / math.sqrt(a * a + b * b + w * w)
+        nx, ny, nz = -a * q, -b * q, w * q
+        x, y = axis_x + rho[t] * u, axis_y + rho[t] * v
+        dx, dy, dz = x - eye_x, y - eye_y, z[t] - eye_z
+        near = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
+        dx, dy, dz = dx * near, dy * near, dz * near
+        cos_in = -(dx * nx + dy * ny + dz * nz)
+        cos_slab = math.sqrt(1.0 - (1.0 - cos_in * cos_in) / (ior * ior))
+        bend = cos_in / ior - cos_slab
+        tx, ty, tz = dx / ior + bend * nx, dy / ior + bend * ny, dz / ior + bend * nz
+        out = 1.0 - ior * ior * (1.0 - tz * tz)
+        cos_out, fall = math.sqrt(out), 1.0 / tz
+        reach = gap / cos_out - z[t] * fall
+        lx[t], ly[t] = x + tx * reach, y + ty * reach
+        # beyond the critical angle, roots and what depends on them are nan, and all comparisons false
+        arrived += (cos_in > 0.0) & (cos_slab > 0.0) & (fall < 0.0) & (cos_out > 0.0) & (nz >= optics.cos_limit)
+        by_cos = 1.0 / ior - cos_in / (ior * ior * cos_slab)
+        by_fall = z[t] * fall * fall - gap * ior * ior * tz / (out * cos_out)
+        for k in range(2):
+            # along a slope the normal turns
+            cx, cy, cz = (-1.0, 0.0, -u * lean) if k == 0 else (0.0, -1.0, -v * lean)
+            dot = nx * cx + ny * cy + nz * cz
+            cx, cy, cz = (cx - nx * dot) * q, (cy - ny * dot) * q, (cz - nz * dot) * q
+            more = -by_cos * (dx * cx + dy * cy + dz * cz)
+            change = more * nz + bend * cz
+            rays.by_slope[k, 0, t] = (more * nx + bend * cx) * reach + tx * by_fall * change
+            rays.by_slope[k, 1, t] = (more * ny + bend * cy) * reach + ty * by_fall * change
+            # over the triangle the point moves, and the direction with it
+            tilt = (a if k == 0 else b) * rho[t]
+            px, py = (rho[t] if k == 0 else 0.0) - tilt * u * lean, (0.0 if k == 0 else rho[t]) - tilt * v * lean
+            dot = dx * px + dy * py + dz * tilt
+            cx, cy, cz = (px - dx * dot) * near, (py - dy * dot) * near, (tilt - dz * dot) * near
+            more = -by_cos * (nx * cx + ny * cy + nz * cz)
+            change = by_fall * (cz / ior + more * nz) - tilt * fall
+            rays.by_position[k, 0, t] = px + (cx / ior + more * nx) * reach + tx * change
+            rays.by_position[k, 1, t] = py + (cy / ior + more * ny) * reach + ty * change
+    return arrived == len(z)
 
 
-# these flags relax rounding alone; none lets the compiler assume that there is no infinity or NaN
-@njit(cache=True, fastmath={"contract", "reassoc", "arcp"})
-def _gather(samples, rays, pictures, e, light, gradients):
-    """Add up the source's light over the pieces of one eye's picture, and fill in its derivatives along slopes.
+@njit(cache=True, fastmath=_ROUNDING)
+def _place(samples, pictures, rays):
+    """Fill in where a facet's pieces look: ``landing + by_position p``, p from the centroid of a piece's triangle."""
+    triangle, pixel, weight = samples.triangle, rays.pixel, rays.weight
+    rows = len(pictures.sources)
+    per_mm, middle, last = np.float32(rows / pictures.source_mm), np.float32(0.5 * rows - 0.5), np.float32(rows - 1.001)
+    landing, by_slope, by_position = rays.landing, rays.by_slope, rays.by_position
+    for k in range(len(triangle)):
+        t, right, up = triangle[k], samples.right_mm[k], samples.up_mm[k]
+        x = landing[0, t] + by_position[0, 0, t] * right + by_position[1, 0, t] * up
+        y = landing[1, t] + by_position[0, 1, t] * right + by_position[1, 1, t] * up
+        column, row = x * per_mm + middle, middle - y * per_mm
+        inside = (column >= 0) & (column < last) & (row >= 0) & (row < last)
+        column, row = column if inside else np.float32(0), row if inside else np.float32(0)
+        i, j = np.int32(row), np.int32(column)
+        pixel[k] = i * rows + j
+        rays.between[0, k], rays.between[1, k] = column - np.float32(j), row - np.float32(i)
+        weight[k] = samples.share[k] if inside else np.float32(0)
+        scale = weight[k] * per_mm
+        rays.pull[0, 0, k], rays.pull[0, 1, k] = scale * by_slope[0, 0, t], scale * by_slope[0, 1, t]
+        rays.pull[1, 0, k], rays.pull[1, 1, k] = scale * by_slope[1, 0, t], scale * by_slope[1, 1, t]
 
-    A piece whose centroid is at p from its triangle's takes the source at ``landing + by_position p``, between pixels;
-    its derivative along a slope is ``gradient of the source . by_slope``.
+
+@njit(cache=True, fastmath=_ROUNDING)
+def _look(sources, plane, layers, rays, light, gradients):
+    """Add up the source's light over the pieces of each pixel of a channel, and fill in its derivatives along slopes.
 
     Args:
-        samples: of a facet.
-        rays: of the eye through the facet's triangles.
-        pictures: sources and targets.
-        e: the eye.
-        light: (P P, C) to add to.
-        gradients: (K, 2, C) to fill.
+        sources: (H, W, planes) float32.
+        plane: of the channel.
+        layers: of the pieces.
+        rays: of its eye.
+        light: (P P,) to add to.
+        gradients: (2, K) to fill.
     """
-    landing, by_slope, by_position = rays
-    rows = len(pictures.sources)
-    per_mm, middle = rows / pictures.source_mm, 0.5 * rows - 0.5
-    for k in range(len(samples.pixel)):
-        t, p, share = samples.triangle[k], samples.pixel[k], samples.share[k]
-        x = landing[t, 0] + by_position[t, 0, 0] * samples.right_mm[k] + by_position[t, 1, 0] * samples.up_mm[k]
-        y = landing[t, 1] + by_position[t, 0, 1] * samples.right_mm[k] + by_position[t, 1, 1] * samples.up_mm[k]
-        column, row = x * per_mm + middle, middle - y * per_mm
-        if not (0.0 <= column < rows - 1.001 and 0.0 <= row < rows - 1.001):
-            for c in range(pictures.first[e], pictures.first[e + 1]):
-                gradients[k, 0, c] = gradients[k, 1, c] = 0.0  # beside the source it is dark
-            continue
-        # not ``sampling.bilinear``, which would find these pixels and weights again for every channel
-        i, j = int(row), int(column)
-        # float32 as the sources: float64 weights would turn all sums below into float64
-        fy, fx, scale = np.float32(row - i), np.float32(column - j), np.float32(share * per_mm)
-        ax, ay = np.float32(by_slope[t, 0, 0]), np.float32(by_slope[t, 0, 1])
-        bx, by = np.float32(by_slope[t, 1, 0]), np.float32(by_slope[t, 1, 1])
-        for c in range(pictures.first[e], pictures.first[e + 1]):
-            w = pictures.plane[c]
-            tl, tr = pictures.sources[i, j, w], pictures.sources[i, j + 1, w]
-            bl, br = pictures.sources[i + 1, j, w], pictures.sources[i + 1, j + 1, w]
+    planes = sources.shape[2]
+    flat, down, pixel = sources.reshape(-1)[plane:], sources.shape[1] * planes, rays.pixel
+    for s in range(len(layers) - 1):
+        first = layers[s]
+        for p in range(layers[s + 1] - first):
+            k = first + p
+            at = np.uint64(pixel[k]) * np.uint64(planes)
+            tl, tr = flat[at], flat[at + np.uint64(planes)]
+            bl, br = flat[at + np.uint64(down)], flat[at + np.uint64(down + planes)]
+            fx, fy = rays.between[0, k], rays.between[1, k]
             top, low = tl + (tr - tl) * fx, bl + (br - bl) * fx
-            light[p, c] += share * (top + (low - top) * fy)
-            to_x, to_y = scale * ((tr - tl) + ((br - bl) - (tr - tl)) * fy), scale * (top - low)
-            gradients[k, 0, c] = to_x * ax + to_y * ay
-            gradients[k, 1, c] = to_x * bx + to_y * by
+            light[p] += rays.weight[k] * (top + (low - top) * fy)
+            to_x, to_y = (tr - tl) + ((br - bl) - (tr - tl)) * fy, top - low
+            gradients[0, k] = to_x * rays.pull[0, 0, k] + to_y * rays.pull[0, 1, k]
+            gradients[1, k] = to_x * rays.pull[1, 0, k] + to_y * rays.pull[1, 1, k]
 
 
 @njit(cache=True)
@@ -316,11 +399,8 @@ def target_at(pictures, e, px, py, out):
 
 
 @njit(cache=True)
-def predict_facet(heights, centre, samples, pictures, optics, derive, rays, shown):
-    """Fill in what a facet shows: ``residual = display(mean light of a pixel's pieces) - target``.
-
-    The gradients are those of the residuals, by the chain rule; the display curve's slope is taken over some entries
-    of its table.
+def tile_of(heights, centre, samples, pictures, optics):
+    """What a facet should show, a ``Tile``: where a pixel is seen depends little on heights.
 
     Args:
         heights: (k, k) of the facet, mm.
@@ -328,46 +408,80 @@ def predict_facet(heights, centre, samples, pictures, optics, derive, rays, show
         samples: of a facet.
         pictures: sources and targets.
         optics: an ``optics.medium.Optics``.
-        derive: whether the rays' derivatives are taken anew.
-        rays: with a leading axis for the eyes, to fill; they keep their derivatives from one prediction to the next.
+    """
+    channels, side, m, cell = len(pictures.plane), samples.pixels, len(heights) - 1, samples.cell_mm
+    tile = Tile(np.zeros((channels, side * side), np.float32), np.zeros((channels, side * side), np.float32))
+    pixel = np.zeros(channels, np.float32)
+    for e in range(len(pictures.eyes_mm)):
+        eye = pictures.eyes_mm[e]
+        for p in range(side * side):
+            right, down = (samples.pixel[p] % side + 0.5) * m / side, (samples.pixel[p] // side + 0.5) * m / side
+            h = heights[int(down), int(right)]  # of a vertex nearby
+            u, v = centre[0] + (right - 0.5 * m) * cell, centre[1] + (0.5 * m - down) * cell
+            px, py = project(eye, surface_point(optics, u, v, h, optics.depth), optics.depth)
+            seen = target_at(pictures, e, px, py, pixel)
+            for c in range(pictures.first[e], pictures.first[e + 1]):
+                tile.targets[c, p], tile.seen[c, p] = pixel[c], seen
+    return tile
+
+
+@njit(cache=True, fastmath=_ROUNDING)
+def _compare(tile, c, display, layers, light, shown):
+    """Turn a channel's light (P P,) into residuals, and gradients into theirs, by the chain rule.
+
+    The display curve's slope is taken over some entries of its table.
+
+    Returns:
+        The sum of the squared residuals.
+    """
+    last, total = len(display) - 1, 0.0
+    for p in range(len(light)):
+        at = min(int(light[p] * last + 0.5), last)
+        residual = (display[at] - tile.targets[c, p]) * tile.seen[c, p]
+        shown.residuals[c, p] = residual
+        total += np.float64(residual) * residual
+        lo, hi = max(at - LIGHT_STEP, 0), min(at + LIGHT_STEP, last)
+        light[p] = (display[hi] - display[lo]) * last / (hi - lo) * tile.seen[c, p]
+    gradients = shown.gradients[c]
+    for s in range(len(layers) - 1):
+        layer = slice(layers[s], layers[s + 1])
+        a, b = gradients[0, layer], gradients[1, layer]
+        for p in range(len(a)):
+            a[p] *= light[p]
+            b[p] *= light[p]
+    return total
+
+
+@njit(cache=True)
+def predict_facet(heights, centre, samples, pictures, optics, tile, rays, shown):
+    """Fill in what a facet shows: ``residual = display(mean light of a pixel's pieces) - target``.
+
+    Args:
+        heights: (k, k) of the facet, mm.
+        centre: (2,) of the facet, mm.
+        samples: of a facet.
+        pictures: sources and targets.
+        optics: an ``optics.medium.Optics``.
+        tile: what it should show.
+        rays: room.
         shown: to fill.
 
     Returns:
         The mean squared residual; infinite if a ray does not arrive or a triangle is steeper than allowed.
     """
-    slopes, residuals, gradients = shown
-    light = np.zeros_like(residuals)
-    side, last = samples.pixels, len(pictures.display) - 1
-    m, cell = len(heights) - 1, samples.cell_mm
-    triangle_slopes(heights, cell, slopes)
-    total, count = 0.0, 0
+    triangle_slopes(heights, samples.cell_mm, shown.slopes)
+    _raise(heights, optics, rays.points)
+    total = 0.0
+    light = np.zeros(samples.pixels**2, np.float32)
     for e in range(len(pictures.eyes_mm)):
-        eye = pictures.eyes_mm[e]
-        through = Rays(rays.landing[e], rays.by_slope[e], rays.by_position[e])
-        if not _aim(heights, slopes, centre, eye, samples, optics, derive, through):
+        if not _aim(shown.slopes, centre, pictures.eyes_mm[e], samples, optics, rays):
             return np.inf
-        _gather(samples, through, pictures, e, light, gradients)
-        for p in range(side * side):
-            right, down = (p % side + 0.5) * m / side, (p // side + 0.5) * m / side
-            h = heights[int(down), int(right)]  # of a vertex nearby: where a pixel is seen depends little on heights
-            u, v = centre[0] + (right - 0.5 * m) * cell, centre[1] + (0.5 * m - down) * cell
-            px, py = project(eye, surface_point(optics, u, v, h, optics.depth), optics.depth)
-            seen = target_at(pictures, e, px, py, residuals[p])
-            for c in range(pictures.first[e], pictures.first[e + 1]):
-                # residuals hold the targets until here, and light holds the display curve's slope from here on
-                at = min(int(light[p, c] * last + 0.5), last)
-                residuals[p, c] = pictures.display[at] - residuals[p, c] if seen else 0.0
-                lo, hi = max(at - LIGHT_STEP, 0), min(at + LIGHT_STEP, last)
-                slope = (pictures.display[hi] - pictures.display[lo]) * last / (hi - lo)
-                light[p, c] = slope if seen else 0.0
-                total += residuals[p, c] ** 2
-                count += seen
-    for k in range(len(gradients)):
-        for c in range(gradients.shape[2]):
-            scale = light[samples.pixel[k], c]
-            gradients[k, 0, c] *= scale
-            gradients[k, 1, c] *= scale
-    return total / max(count, 1)
+        _place(samples, pictures, rays)
+        for c in range(pictures.first[e], pictures.first[e + 1]):
+            light[:] = 0.0
+            _look(pictures.sources, pictures.plane[c], samples.layers, rays, light, shown.gradients[c])
+            total += _compare(tile, c, pictures.display, samples.layers, light, shown)
+    return total / max(tile.seen.sum(), 1)
 
 
 @njit(cache=True)
@@ -384,29 +498,50 @@ def to_field(spectrum, cosines, work, out):
     np.dot(work, cosines, out)
 
 
-@njit(cache=True, fastmath={"contract", "reassoc", "arcp"})
+@njit(cache=True, fastmath=_ROUNDING)
 def residual_change(samples, shown, slopes, out):
-    """Fill out (P P, C) with the derivative of the residuals along a change of the slopes (T, 2)."""
+    """Fill out (C, P P) with the derivative of the residuals along a change of the slopes (2, T)."""
+    triangle, layers, gradients = samples.triangle, samples.layers, shown.gradients
+    of_piece = np.empty((2, len(triangle)), np.float32)
+    for k in range(len(triangle)):
+        of_piece[0, k], of_piece[1, k] = slopes[0, triangle[k]], slopes[1, triangle[k]]
     out[:] = 0.0
-    for k in range(len(shown.gradients)):
-        p, t = samples.pixel[k], samples.triangle[k]
-        a, b = np.float32(slopes[t, 0]), np.float32(slopes[t, 1])
-        for c in range(out.shape[1]):
-            out[p, c] += shown.gradients[k, 0, c] * a + shown.gradients[k, 1, c] * b
+    for c in range(len(out)):
+        change = out[c]
+        for s in range(len(layers) - 1):
+            # slices, so that kernels need not look for negative indices
+            layer = slice(layers[s], layers[s + 1])
+            ga, gb, a, b = gradients[c, 0, layer], gradients[c, 1, layer], of_piece[0, layer], of_piece[1, layer]
+            for p in range(len(a)):
+                change[p] += ga[p] * a[p] + gb[p] * b[p]
 
 
-@njit(cache=True, fastmath={"contract", "reassoc", "arcp"})
+@njit(cache=True, fastmath=_ROUNDING)
 def residual_change_transposed(samples, shown, residuals, out):
-    """Fill out (T, 2) with the transpose of ``residual_change``, applied to residuals (P P, C)."""
+    """Fill out (2, T) with the transpose of ``residual_change``, applied to residuals (C, P P)."""
+    triangle, layers, gradients = samples.triangle, samples.layers, shown.gradients
+    of_piece = np.zeros((2, len(triangle)), np.float32)
+    for c in range(len(residuals)):
+        residual = residuals[c]
+        for s in range(len(layers) - 1):
+            layer = slice(layers[s], layers[s + 1])
+            ga, gb, a, b = gradients[c, 0, layer], gradients[c, 1, layer], of_piece[0, layer], of_piece[1, layer]
+            for p in range(len(a)):
+                a[p] += ga[p] * residual[p]
+                b[p] += gb[p] * residual[p]
     out[:] = 0.0
-    for k in range(len(shown.gradients)):
-        p, t = samples.pixel[k], samples.triangle[k]
-        a, b = np.float32(0.0), np.float32(0.0)
-        for c in range(residuals.shape[1]):
-            a += shown.gradients[k, 0, c] * residuals[p, c]
-            b += shown.gradients[k, 1, c] * residuals[p, c]
-        out[t, 0] += a
-        out[t, 1] += b
+    for k in range(len(triangle)):
+        out[0, triangle[k]] += of_piece[0, k]
+        out[1, triangle[k]] += of_piece[1, k]
+
+
+@njit(cache=True, fastmath=_ROUNDING)
+def _mean_square(gradients, triangles):
+    """The sum of all squared gradients, per triangle."""
+    total = np.float32(0.0)
+    for g in gradients.flat:
+        total += g * g
+    return total / triangles
 
 
 @njit(cache=True)
@@ -430,11 +565,8 @@ def _step(shown, samples, metric, damping, iterations, out):
     """
     free = metric.free
     k, cell = len(out), samples.cell_mm
-    even = 0.0
-    for n in range(len(shown.gradients)):
-        for c in range(shown.gradients.shape[2]):
-            even += shown.gradients[n, 0, c] ** 2 + shown.gradients[n, 1, c] ** 2
-    even = even / len(shown.slopes) + 1e-12  # a facet that sees plain areas only has no gradients
+    # a facet that sees plain areas only has no gradients
+    even = _mean_square(shown.gradients, shown.slopes.shape[1]) + 1e-12
     laplacian = even * metric.laplacian
     stiff = damping * (laplacian + even * _FLATNESS)
     inverse = 1.0 / (stiff + 0.3 * laplacian)
@@ -475,19 +607,18 @@ def _step(shown, samples, metric, damping, iterations, out):
 def _refine_part(part, shapes, samples, pictures, optics, metric, descent, errors):
     """Part of the facets, see ``refine_facets``; shapes: heights and centres."""
     heights, centres = shapes
-    k, pieces, channels = heights.shape[1], len(samples.pixel), len(pictures.plane)
-    triangles, pixels = 2 * (k - 1) ** 2, samples.pixels**2
-    eyes = len(pictures.eyes_mm)
-    rays = Rays(np.zeros((eyes, triangles, 2)), np.zeros((eyes, triangles, 2, 2)), np.zeros((eyes, triangles, 2, 2)))
-    slopes, residuals = np.zeros((2, triangles, 2)), np.zeros((2, pixels, channels), np.float32)
-    gradients = np.zeros((2, pieces, 2, channels), np.float32)
+    k, pieces, channels = heights.shape[1], len(samples.triangle), len(pictures.plane)
+    triangles = 2 * (k - 1) ** 2
+    rays = room_for_rays(samples)
+    slopes, residuals = np.zeros((2, 2, triangles)), np.zeros((2, channels, samples.pixels**2), np.float32)
+    gradients = np.zeros((2, channels, 2, pieces), np.float32)
     # one of the facet as it is and one of the trial: a step that is taken exchanges them
     predictions = (Shown(slopes[0], residuals[0], gradients[0]), Shown(slopes[1], residuals[1], gradients[1]))
     step = np.zeros((k, k))
-    derive = np.bool_(True)  # not the literal, for which numba would compile the prediction apart
     for f in range(part.first, part.end):
         trial, now = heights[f].copy(), 0
-        error = predict_facet(trial, centres[f], samples, pictures, optics, derive, rays, predictions[0])
+        tile = tile_of(trial, centres[f], samples, pictures, optics)
+        error = predict_facet(trial, centres[f], samples, pictures, optics, tile, rays, predictions[0])
         damping = _FIRST_DAMPING
         for _ in range(descent.rounds):
             if not 0.0 < error < np.inf:
@@ -495,7 +626,7 @@ def _refine_part(part, shapes, samples, pictures, optics, metric, descent, error
             expected = _step(predictions[now], samples, metric, damping, descent.iterations, step)
             for n in range(k * k):  # element by element, see ``polishing_kernels.read_candidate``
                 trial[n // k, n % k] = heights[f, n // k, n % k] + step[n // k, n % k]
-            less = predict_facet(trial, centres[f], samples, pictures, optics, not derive, rays, predictions[1 - now])
+            less = predict_facet(trial, centres[f], samples, pictures, optics, tile, rays, predictions[1 - now])
             if less < error:
                 for n in range(k * k):
                     heights[f, n // k, n % k] = trial[n // k, n % k]
