@@ -59,6 +59,7 @@ def tiles_of(target: FloatArray) -> FloatArray:
 def search_window(source: FloatArray, target: FloatArray) -> FloatArray:
     """(F, parts^2) least sums of squared differences, by the search of the ``exhaustive`` matcher."""
     from magiclens.matching.exhaustive_kernels import search
+    from magiclens.matching.features import choose_basis
     from magiclens.matching.pool import Pool
     from magiclens.matching.raster_kernels import patch_features
     from magiclens.matching.rasters import Raster
@@ -67,12 +68,13 @@ def search_window(source: FloatArray, target: FloatArray) -> FloatArray:
 
     plain = np.ascontiguousarray(source.transpose(2, 0, 1))
     samples = plain[:, None]
-    features = patch_features(samples, 1, (1, 1), _PIXELS)
+    basis = choose_basis(samples, 1, _PIXELS)
+    features = patch_features(samples, 1, (1, 1), basis)
     values = np.ascontiguousarray(tiles_of(target).transpose(0, 3, 1, 2))
     n = len(target) // _PIXELS
     at = (np.arange(n) + 0.5 - n / 2) * _PIXELS
     centres = np.stack(np.meshgrid(at, at), axis=-1).reshape(-1, 2)
-    raster = Raster(samples, features, 1.0, 1.0, 1.0, 1.0, plain.shape[2], plain.shape[1], 1, 1)
+    raster = Raster(samples, basis, features, 1.0, 1.0, 1.0, 1.0, plain.shape[2], plain.shape[1], 1, 1, 1, 1)
     # offsets of one pixel in a window of 100; a step of next to nothing makes the distance term nothing
     window = Window(0.5 * _OFFSETS - 0.25, 1e-9, _PARTS)
     # an eye so far above that a slab so thick can show every patch

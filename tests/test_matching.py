@@ -25,7 +25,7 @@ from magiclens.matching.exhaustive import Exhaustive, resolved_scales, search_al
 from magiclens.matching.multi_view import MultiViewMatcher
 from magiclens.matching.polishing import blur_levels, box_blur, polished
 from magiclens.matching.pool import Pool
-from magiclens.matching.raster_kernels import BLOCK_PIXELS, GREY, average_columns
+from magiclens.matching.raster_kernels import average_columns
 from magiclens.matching.tuples import Tiles
 from magiclens.optics.medium import slab_of
 from magiclens.optics.refraction import facet_normal
@@ -121,28 +121,24 @@ def test_raster_samples_are_box_averages_of_the_source_at_their_places(scales: t
     x, y = (rasters.raster_axis(s, px, 0.13, size) for s in scales)
     wide, tall = (s * px + grain for s in scales)
     columns = average_columns(source, *rasters.footprints(x, wide, size, 67))
-    samples, features = rasters.build_raster(columns, *rasters.footprints(y, tall, size, 67), x, y, 8)
-    span_x, span_y = (BLOCK_PIXELS - 1) * x.skip, (BLOCK_PIXELS - 1) * y.skip
+    samples, basis, features = rasters.build_raster(columns, *rasters.footprints(y, tall, size, 67), x, y, 8)
     corners = [(0, 0), (y.count - 1, x.count - 1)]
     for r, c in corners + [(RNG.integers(y.count), RNG.integers(x.count)) for _ in range(40)]:
         mean = area_mean(source, size, x.positions_mm()[c], y.positions_mm()[r], wide, tall)
         found = samples[:, c % x.skip, r, c // x.skip]
         np.testing.assert_allclose(found, to_display(mean), atol=1e-3)
+    vectors = np.einsum("ni,nj,nk->nijk", *(m[v] for m, v in zip(basis[:2] + basis[1:2], basis.vectors.T, strict=True)))
+    vectors = vectors.reshape(len(vectors), -1)
+    np.testing.assert_allclose(vectors @ vectors.T, np.eye(len(vectors)), atol=1e-12)
     for _ in range(10):
-        r, c = RNG.integers(y.count - span_y), RNG.integers(x.count - span_x)
-        rs, cs = np.meshgrid(r + np.arange(BLOCK_PIXELS) * y.skip, c + np.arange(BLOCK_PIXELS) * x.skip)
-        block = samples[:, cs % x.skip, rs, cs // x.skip].mean(axis=(1, 2))
-        means = features[:-2, r % y.stride, c % x.stride, r // y.stride, c // x.stride] + GREY
-        np.testing.assert_allclose(means, block, atol=1e-6)
-    for _ in range(10):
-        r, c = RNG.integers(y.count - 7 * y.skip), RNG.integers(x.count - 7 * x.skip)
-        rs, cs = np.meshgrid(r + np.arange(8) * y.skip, c + np.arange(8) * x.skip, indexing="ij")
-        patch = samples[:, cs % x.skip, rs, cs // x.skip]
-        blocks = patch.reshape(-1, 2, 4, 2, 4)
-        rest = np.sqrt(((blocks - blocks.mean(axis=(2, 4), keepdims=True)) ** 2).sum())
-        left_out, energy = features[-2:, r % y.stride, c % x.stride, r // y.stride, c // x.stride]
-        assert left_out == pytest.approx(rest, rel=1e-5)
-        assert energy == pytest.approx(((patch - GREY) ** 2).sum(), rel=1e-5)
+        r, c = RNG.integers((y.count - 7 * y.skip) // y.stride), RNG.integers((x.count - 7 * x.skip) // x.stride)
+        rs, cs = r * y.stride + np.arange(8)[:, None] * y.skip, c * x.stride + np.arange(8) * x.skip
+        patch = samples[:, cs % x.skip, rs, cs // x.skip].ravel() - 0.5
+        energy, rest, coordinates = features[r, 0, c], features[r, 1, c], features[r, 2:, c]
+        np.testing.assert_allclose(coordinates, vectors @ patch, atol=1e-6)
+        assert rest == pytest.approx(np.sqrt((patch**2).sum() - ((vectors @ patch) ** 2).sum()), rel=1e-4)
+        assert energy == pytest.approx((patch**2).sum(), rel=1e-5)
+        assert energy <= (patch.astype(float) ** 2).sum()
 
 
 # the search
@@ -179,7 +175,8 @@ def brute_force(options: Exhaustive, scene: Scene, samples_of: Callable[[float, 
                 a.positions_mm()[: a.count - r] + r * a.spacing_mm / 2 for a, r in ((x, reach_x), (y, reach_y))
             )
             fits_x, fits_y = (np.flatnonzero(np.abs(a - c) <= window) for a, c in ((at_x, cx), (at_y, cy)))
-            for (fx, fy), r, c in itertools.product(signs, fits_y[:: y.stride], fits_x[:: x.stride]):
+            fits_x, fits_y = fits_x[fits_x % x.stride == 0], fits_y[fits_y % y.stride == 0]
+            for (fx, fy), r, c in itertools.product(signs, fits_y, fits_x):
                 patch = plain[:, r : r + reach_y + 1 : y.skip, c : c + reach_x + 1 : x.skip][:, ::fy, ::fx]
                 rx, ry = at_x[c] - cx, at_y[r] - cy
                 far = 1 / (m2 - (rx**2 + ry**2) / step**2) - 1 / m2

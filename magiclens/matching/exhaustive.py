@@ -24,7 +24,7 @@ class Exhaustive(LatticeOptions, Matcher):
     """Exact search over offsets and axis-aligned maps, pruned by a lower bound; best per bucket; polished."""
 
     type: ClassVar[str] = "exhaustive"
-    version: ClassVar[str] = "3"
+    version: ClassVar[str] = "4"
 
     def match(self, scene: Scene, rng: np.random.Generator, progress: Progress = silent) -> Candidates:
         """Search, polish, sort.
@@ -114,7 +114,8 @@ def search_all(
         (x, averages), y = columns(sx), rasters.raster_axis(sy, px, window.step, size)
         taps = rasters.footprints(y, sy * px + grain, size, source.shape[1])
         built = rasters.build_raster(averages, *taps, x, y, options.pixels)
-        raster = rasters.Raster(*built, sx, sy, x.spacing_mm, y.spacing_mm, x.count, y.count, x.skip, y.skip)
+        counts = x.count, y.count, x.skip, y.skip, x.stride, y.stride
+        raster = rasters.Raster(*built, sx, sy, x.spacing_mm, y.spacing_mm, *counts)
         search(tiles, raster, window, not options.isotropic, optics, pool.found)
         progress((done + 1) / len(pairs))
 

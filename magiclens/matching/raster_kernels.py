@@ -8,15 +8,9 @@ import numpy as np
 
 from magiclens.contract.artifacts import FloatArray, IntArray
 from magiclens.kernels.compiler import njit
+from magiclens.kernels.eights import EIGHT
 from magiclens.kernels.threads import in_threads
-
-BLOCK_PIXELS = 4
-"""Tile pixels per side of a block whose mean bounds the squared difference from below."""
-GREY = np.float32(0.5)
-"""Display value from which others are counted where their squares are summed, so that sums, and what rounding makes of
-them, stay small."""
-VECTOR = 16
-"""Rows of numbers are summed in whole vectors of so many."""
+from magiclens.matching.features import GREY, Basis
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -91,89 +85,93 @@ def display_rows(
     return out
 
 
-@njit(cache=True, nogil=True, fastmath=True)
-def _blocks_part(part, samples, skip_y, features, sums):
-    """Part of the rows of samples: the means of blocks, and in sums (2, Y, X) the squares around and of these."""
+@njit(cache=True, fastmath={"contract", "reassoc"})
+def _add_up(weights, k, lines, step, out):
+    """``out[n] = sum over m of weights[k, m] * lines[m * step + n]``."""
+    terms, count = weights.shape[1], np.uint64(len(out))
+    fours = terms - terms % 4
+    for n in range(count):
+        out[n] = 0.0
+    for m in range(0, fours, 4):
+        w0, w1, w2, w3 = weights[k, m], weights[k, m + 1], weights[k, m + 2], weights[k, m + 3]
+        a0, a1 = np.uint64(m * step), np.uint64((m + 1) * step)
+        a2, a3 = np.uint64((m + 2) * step), np.uint64((m + 3) * step)
+        for n in range(count):
+            out[n] += (w0 * lines[a0 + n] + w1 * lines[a1 + n]) + (w2 * lines[a2 + n] + w3 * lines[a3 + n])
+    for m in range(fours, terms):
+        w, a = weights[k, m], np.uint64(m * step)
+        for n in range(count):
+            out[n] += w * lines[a + n]
+
+
+@njit(cache=True)
+def kept_of_energy(vectors):
+    """What is left of sums of squares, so that rounding never makes a bound larger than a difference."""
+    return 1.0 - 2.0**-23 * (vectors + 8)
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
+def _features_part(part, samples, skip_y, places, basis, features):
+    """Part of the rows of features, see ``patch_features``; places: where they begin, along y and in a flat line."""
     channels, skip, _, width = samples.shape
-    _, sy, sx, _, _ = features.shape
-    count, step = width - BLOCK_PIXELS + 1, np.float32(1.0 / BLOCK_PIXELS)
-    tall, apart, mean = np.zeros(width, np.float32), np.zeros(width, np.float32), np.zeros(width * skip, np.float32)
-    rest, energy = np.zeros((skip, width), np.float32), np.zeros((skip, width), np.float32)
-    for y in range(part.first, part.end):
-        rest[:], energy[:] = 0.0, 0.0
+    pixels, (at_y, at_x), line = len(basis.waves), places, skip * width
+    # waves along y of all rows of a patch, mixtures of channels, waves along x: one after the other
+    rows, waved = np.empty((pixels, line)), np.empty((pixels, channels, line))
+    mixed, out, squares = np.empty(line + pixels), np.empty(line), np.empty(line + pixels)
+    left, ones, kept = np.empty(len(at_x)), np.ones((1, pixels)), kept_of_energy(len(basis.vectors))
+    mixed[:], squares[:] = 0.0, 0.0
+    needed = np.zeros((pixels, channels), np.bool_)
+    for m in range(len(basis.vectors)):
+        needed[basis.vectors[m, 1], basis.vectors[m, 0]] = True
+    for j in range(part.first, part.end):
+        squares[:] = 0.0
         for c in range(channels):
-            for phase in range(skip):
-                # first along y, then along x: squares around the mean of means add up without differences of large sums
-                for n in range(width):
-                    s = q = np.float32(0.0)
-                    for k in range(BLOCK_PIXELS):
-                        s += samples[c, phase, y + k * skip_y, n]
-                    s *= step
-                    for k in range(BLOCK_PIXELS):
-                        q += (samples[c, phase, y + k * skip_y, n] - s) ** 2
-                    tall[n], apart[n] = s, q
-                for n in range(count):
-                    s = q = np.float32(0.0)
-                    for k in range(BLOCK_PIXELS):
-                        s += tall[n + k]
-                    s *= step
-                    for k in range(BLOCK_PIXELS):
-                        q += apart[n + k] + BLOCK_PIXELS * (tall[n + k] - s) ** 2
-                    s -= GREY
-                    rest[phase, n] += q
-                    energy[phase, n] += np.float32(BLOCK_PIXELS * BLOCK_PIXELS) * s * s
-                    mean[n * skip + phase] = s
-            for phase in range(sx):
-                for n in range((count * skip - phase + sx - 1) // sx):
-                    features[c, y % sy, phase, y // sy, n] = mean[n * sx + phase]
-        for phase in range(skip):
-            for n in range(count):
-                sums[0, y, n * skip + phase], sums[1, y, n * skip + phase] = rest[phase, n], energy[phase, n]
+            for k in range(pixels):
+                for phase in range(skip):
+                    for n in range(width):
+                        value = np.float64(samples[c, phase, at_y[j] + k * skip_y, n] - GREY)
+                        rows[k, phase * width + n] = value
+                        squares[phase * width + n] += value * value
+            for wave in range(pixels):
+                if needed[wave].any():
+                    _add_up(basis.waves, wave, rows.reshape(-1), line, waved[wave, c])
+        _add_up(ones, 0, squares, 1, out)
+        for i in range(len(at_x)):
+            left[i] = out[at_x[i]]
+            features[j, 0, i] = left[i] * kept
+        for wave in range(pixels):
+            for mixture in range(channels):
+                if needed[wave, mixture]:
+                    _add_up(basis.mixtures, mixture, waved[wave].reshape(-1), line, mixed[:line])
+                for m in range(len(basis.vectors)):
+                    if basis.vectors[m, 0] == mixture and basis.vectors[m, 1] == wave:
+                        _add_up(basis.waves, basis.vectors[m, 2], mixed, 1, out)
+                        for i in range(len(at_x)):
+                            value = out[at_x[i]]
+                            features[j, m + 2, i] = value
+                            left[i] -= value * value
+        for i in range(len(at_x)):
+            features[j, 1, i] = math.sqrt(max(left[i], 0.0))
 
 
-@njit(cache=True, nogil=True, fastmath=True)
-def _norms_part(part, sums, steps, per_side, features):
-    """Part of the rows of samples: what blocks' means leave out of the patch that begins there, and its energy."""
-    channels, (_, sy, sx, _, _), width = len(features) - 2, features.shape, sums.shape[2]
-    count = width - (per_side - 1) * steps[1]
-    rest, energy = np.zeros(width, np.float32), np.zeros(width, np.float32)
-    for y in range(part.first, part.end):
-        rest[:], energy[:] = 0.0, 0.0
-        for b in range(per_side * per_side):
-            row, column = y + b // per_side * steps[0], b % per_side * steps[1]
-            for x in range(count):
-                rest[x] += sums[0, row, column + x]
-                energy[x] += sums[1, row, column + x]
-        for x in range(count):
-            energy[x] += rest[x]
-            rest[x] = math.sqrt(rest[x])
-        for phase in range(sx):
-            for n in range((count - phase + sx - 1) // sx):
-                features[channels, y % sy, phase, y // sy, n] = rest[n * sx + phase]
-                features[channels + 1, y % sy, phase, y // sy, n] = energy[n * sx + phase]
-
-
-def patch_features(samples: FloatArray, skip_y: int, strides: tuple[int, int], pixels: int) -> FloatArray:
-    """What bounds say of patches: the means of blocks, what these leave out, and the sum of squares.
+def patch_features(samples: FloatArray, skip_y: int, strides: tuple[int, int], basis: Basis) -> FloatArray:
+    """What bounds know of the patches that begin at every so many samples.
 
     Args:
         samples: (C, skip, Y, X / skip) float32 display values, see ``display_rows``.
         skip_y: samples between two neighbouring pixels of a patch along y.
-        strides: samples between two neighbouring offsets along y and x.
-        pixels: P, along a patch's side.
+        strides: samples between two neighbouring patches along y and x.
+        basis: n vectors over the pixels of a patch.
 
     Returns:
-        (C + 2, sy, sx, Y / sy, X / sx and some more) float32. For sample (y, x), at [:, y % sy, x % sx, y // sy,
-        x // sx]: for each channel the mean, less GREY, of the block of pixels that begins there; of the patch that
-        begins there, the norm of what its blocks' means leave out, and the sum of (value - GREY)^2. It is meaningless
-        where they would leave the raster. The last VECTOR columns are there to be read with others.
+        (Y / sy, n + 2, X / sx) float32, without the places where a patch would leave the raster. Of a patch's values,
+        less GREY: the sum of squares, see ``kept_of_energy``, its coordinates along the vectors, after the norm of what
+        these leave out. The last EIGHT columns are there to be read with others.
     """
-    channels, skip, rows, width = samples.shape
-    (sy, sx), step = strides, BLOCK_PIXELS * skip_y
-    features = np.zeros((channels + 2, sy, sx, -(-rows // sy), -(-width * skip // sx) + VECTOR), np.float32)
-    sums = np.zeros((2, rows, width * skip), np.float32)
-    in_threads(_blocks_part, max(rows - step + skip_y, 0), samples, skip_y, features, sums)
-    per_side = pixels // BLOCK_PIXELS
-    whole = max(rows - per_side * step + skip_y, 0)
-    in_threads(_norms_part, whole, sums, (step, BLOCK_PIXELS * skip), per_side, features)
+    _, skip, rows, width = samples.shape
+    pixels = len(basis.waves)
+    y = np.arange(0, max(rows - (pixels - 1) * skip_y, 0), strides[0])
+    x = np.arange(0, max((width - pixels + 1) * skip, 0), strides[1])
+    features = np.zeros((len(y), len(basis.vectors) + 2, len(x) + EIGHT), np.float32)
+    in_threads(_features_part, len(y), samples, skip_y, (y, x % skip * width + x // skip), basis, features)
     return features

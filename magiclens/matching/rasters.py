@@ -14,6 +14,7 @@ import numpy as np
 
 from magiclens.contract.artifacts import FloatArray, IntArray
 from magiclens.images import to_display
+from magiclens.matching.features import Basis, choose_basis
 from magiclens.matching.raster_kernels import display_rows, patch_features
 
 DISPLAY_TABLE = to_display(np.linspace(0.0, 1.0, 8192)).astype(np.float32)
@@ -46,14 +47,17 @@ class Raster(NamedTuple):
 
     Args:
         samples: (C, skip_x, Y, X) float32 display values, see ``build_raster``.
-        features: (C + 2, sy, sx, Y, X) float32 of the patches, see ``patch_features``.
+        basis: what bounds know of a tile or patch.
+        features: (n + 2, Y, X) float32: that of the patches, see ``patch_features``.
         scale_x, scale_y: magnitudes of the map.
         spacing_x, spacing_y: distance between neighbouring samples, mm.
         count_x, count_y: how many samples there are.
         skip_x, skip_y: how many samples separate two neighbouring tile pixels.
+        stride_x, stride_y: how many samples separate two neighbouring patches.
     """
 
     samples: FloatArray
+    basis: Basis
     features: FloatArray
     scale_x: float
     scale_y: float
@@ -63,6 +67,8 @@ class Raster(NamedTuple):
     count_y: int
     skip_x: int
     skip_y: int
+    stride_x: int
+    stride_y: int
 
 
 def raster_axis(scale: float, px_mm: float, step_mm: float, size_mm: float) -> RasterAxis:
@@ -105,12 +111,11 @@ def footprints(axis: RasterAxis, width_mm: float, size_mm: float, pixels: int) -
 
 def build_raster(
     columns: FloatArray, first: IntArray, weights: FloatArray, x: RasterAxis, y: RasterAxis, pixels: int
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[FloatArray, Basis, FloatArray]:
     """Average columns over their footprints along y, too, and lay the samples out for the search.
 
     Sample (r_y, r_x) of the plain raster sits at [:, r_x % skip, r_y, r_x // skip], with the skip along x, so that the
-    pixels of a tile's row are neighbours in memory. Its features sit at [:, r_y % sy, r_x % sx, r_y // sy, r_x // sx],
-    with the strides, so that neighbouring offsets are.
+    pixels of a tile's row are neighbours in memory.
 
     Args:
         columns: (C, H, x.count) float32, linear light: the source averaged along x.
@@ -120,7 +125,8 @@ def build_raster(
         pixels: P, along a tile's side.
 
     Returns:
-        Samples (C, x.skip, y.count, X), float32 display values, and their ``patch_features``.
+        Samples (C, x.skip, y.count, X), float32 display values, a basis for their patches, and the ``patch_features``.
     """
     samples = display_rows(columns, first, weights, DISPLAY_TABLE, x.skip)
-    return samples, patch_features(samples, y.skip, (y.stride, x.stride), pixels)
+    basis = choose_basis(samples, y.skip, pixels)
+    return samples, basis, patch_features(samples, y.skip, (y.stride, x.stride), basis)
