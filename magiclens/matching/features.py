@@ -35,7 +35,7 @@ class Basis(NamedTuple):
     ends: IntArray
 
 
-def cosines(pixels: int) -> FloatArray:
+def _cosines(pixels: int) -> FloatArray:
     """(P, P) float64 orthonormal rows: the cosine transform of type II."""
     k, at = np.arange(pixels)[:, None], np.arange(pixels) + 0.5
     waves: FloatArray = np.sqrt(2 / pixels) * np.cos(np.pi / pixels * k * at)
@@ -61,7 +61,7 @@ def choose_basis(samples: FloatArray, skip_y: int, pixels: int) -> Basis:
     patches = patches.reshape(channels, -1, pixels, pixels).astype(np.float64) - GREY
     flat = patches.reshape(channels, -1)
     mixtures = np.linalg.eigh(flat @ flat.T)[1].T[::-1]
-    waves = cosines(pixels)
+    waves = _cosines(pixels)
     energies = np.einsum("mc,cnyx,by,ax->nmba", mixtures, patches, waves, waves, optimize=True)
     energies = (energies**2).sum(axis=0)
     count = min(max(_LEAST, min(_PER_CHANNEL * (channels + 2), _MOST)), energies.size)
