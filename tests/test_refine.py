@@ -273,7 +273,7 @@ def test_a_facet_that_would_leave_the_relief_stays_a_lenslet_or_finds_another_sh
 ) -> None:
     scene, built = matched
     free, tight = (refined_within(scene, built, relief_mm=relief) for relief in (3.0, 2.0))
-    assert db(predicted_errors(scene, free)) > 50
+    assert db(predicted_errors(scene, free)) > 40
     tall = np.abs(free.heights_mm).max(axis=(2, 3)) > 2
     lenslets = (tight.heights_mm == built.heights_mm).all(axis=(2, 3))
     assert (tall & lenslets).any()

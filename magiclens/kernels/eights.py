@@ -59,7 +59,9 @@ def eight_at(_: Any, array: types.Array, at: types.Integer) -> tuple[Any, Callab
 
 
 @_instruction
-def four_and_four(_: Any, array: types.Array, at: types.Integer, other: types.Integer) -> tuple[Any, Callable[..., Any]]:
+def four_and_four(
+    _: Any, array: types.Array, at: types.Integer, other: types.Integer
+) -> tuple[Any, Callable[..., Any]]:
     """Four numbers of a flat float32 array that begin at one, and four that begin at another; both are unsigned."""
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
