@@ -125,8 +125,11 @@ def test_without_temperature_chance_plays_no_part(scene: Scene) -> None:
 
 
 def test_cooling_finds_less_than_a_cold_descent(scene: Scene) -> None:
-    cold, cooled = (annealed(HeatBath(sweeps=40, temperature=t), scene, many_candidates()) for t in (0.0, 0.003))
-    assert cooled.metrics["energy_after"] < cold.metrics["energy_after"]
+    def mean_energy(temperature: float) -> float:
+        annealer = HeatBath(sweeps=40, temperature=temperature)
+        return float(np.mean([annealed(annealer, scene, many_candidates(k)).metrics["energy_after"] for k in range(4)]))
+
+    assert mean_energy(0.003) < mean_energy(0.0)
 
 
 def rough_or_flat(error: float) -> Candidates:

@@ -120,7 +120,7 @@ class Descent(NamedTuple):
     enough: float
 
 
-class Tile(NamedTuple):
+class _Tile(NamedTuple):
     """What a facet should show.
 
     Args:
@@ -400,7 +400,7 @@ def target_at(pictures, e, px, py, out):
 
 @njit(cache=True)
 def tile_of(heights, centre, samples, pictures, optics):
-    """What a facet should show, a ``Tile``: where a pixel is seen depends little on heights.
+    """What a facet should show, a ``_Tile``: where a pixel is seen depends little on heights.
 
     Args:
         heights: (k, k) of the facet, mm.
@@ -410,7 +410,7 @@ def tile_of(heights, centre, samples, pictures, optics):
         optics: an ``optics.medium.Optics``.
     """
     channels, side, m, cell = len(pictures.plane), samples.pixels, len(heights) - 1, samples.cell_mm
-    tile = Tile(np.zeros((channels, side * side), np.float32), np.zeros((channels, side * side), np.float32))
+    tile = _Tile(np.zeros((channels, side * side), np.float32), np.zeros((channels, side * side), np.float32))
     pixel = np.zeros(channels, np.float32)
     for e in range(len(pictures.eyes_mm)):
         eye = pictures.eyes_mm[e]
