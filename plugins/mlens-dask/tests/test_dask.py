@@ -398,7 +398,7 @@ def test_a_lens_is_the_same_when_a_worker_and_the_scheduler_are_killed_in_mid_ru
     spec: Path, programs: Programs, tmp_path: Path
 ) -> None:
     matcher = "pipeline.matcher={type: exhaustive, window: 40%, scales: [0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8]}"
-    command = ["run", str(spec), "--set", matcher, "--set", "lens.facets=16", "--quiet", "--out"]
+    command = ["run", str(spec), "--set", matcher, "--set", "lens.facets=40", "--quiet", "--out"]
     assert CliRunner().invoke(app, [*command, str(tmp_path / "a" / "alone")]).exit_code == 0
     spreading = ["--executor", "dask", "--executor-set", f"address={programs.address}"]
     with ThreadPoolExecutor(1) as killer:
