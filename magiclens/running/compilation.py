@@ -46,7 +46,7 @@ _SPECS = tuple(
 )
 """Specs for all kernels that a design may need: every matcher, and a printer's lens. Pictures take little time."""
 _TRACING = ("stable-zone", "tolerances")
-"""Analyses that have no kernels of their own: they trace many pictures, and ``render`` has compiled the tracer."""
+"""Analyses that trace many pictures and score them, for which ``render`` has compiled what they need."""
 _SIDE = 2
 """Facets along one side of the small lens: some kernels run only between facets."""
 
@@ -228,6 +228,11 @@ def _export(plan: Plan, scene: Scene) -> None:
 
 
 def _render(plan: Plan, scene: Scene) -> None:
+    from magiclens.images.score import score
+    from magiclens.rendering.poses import Pose, PosedLens
+
+    view = scene.views[0]
+    score(PosedLens(_solid(scene), scene.lens, 16, 1).picture(view, Pose()), view.target)
     for renderer in plan.renderers:
         if renderer.stage.type == REFERENCE_RENDERER:
             renderer.stage.render(scene, _solid(scene))
