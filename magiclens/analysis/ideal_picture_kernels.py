@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magiclens.kernels.compiler import njit
-from magiclens.kernels.sampling import clamped_cell, corner_weights, rotated_grid, weighted_sum
+from magiclens.kernels.sampling import clamped_cell, rotated_grid, weighted_light
 from magiclens.kernels.uncounted import uncounted
 
 
@@ -92,13 +92,8 @@ def sample_ideal_picture(rows_of_picture, source, per_mm, facets, size, samples,
                 if not (-0.5 <= sx <= columns - 0.5 and -0.5 <= sy <= rows - 0.5):
                     continue  # beside the source it is dark
                 ix, iy, fx, fy = clamped_cell(sx, sy, columns, rows)
-                weights = corner_weights(share, fx, fy)
-                upper = (iy * columns + ix) * channels
-                lower = upper + columns * channels
-                red += weighted_sum(values, upper, lower, channels, weights)
-                if channels == 3:
-                    green += weighted_sum(values, upper + 1, lower + 1, channels, weights)
-                    blue += weighted_sum(values, upper + 2, lower + 2, channels, weights)
+                light = weighted_light(values, columns, channels, iy, ix, fx, fy, share)
+                red, green, blue = red + light[0], green + light[1], blue + light[2]
             out[r, c, 0] = red
             if channels == 3:
                 out[r, c, 1], out[r, c, 2] = green, blue

@@ -46,37 +46,32 @@ def blend(upper, lower, fx, fy):
 
 
 @njit(inline="always")
-def corner_weights(weight, fx, fy):
-    """How much of a weight each of four pixels gets, bilinearly: upper left, upper right, lower left, lower right.
+def weighted_light(values, columns, channels, row, column, fx, fy, weight):
+    """Bilinear mean of an image's pixels, times a weight, as numbers that registers hold; 0 in channels it lacks.
 
     Args:
-        weight: of their mean.
-        fx, fy: how far right and how far down the point lies, from 0 to 1.
+        values: of an image, (H, W, C) as (H * W * C,); C is 1 or 3.
+        columns: W.
+        channels: C.
+        row, column: of the upper left of four pixels.
+        fx, fy: how far right and how far down of it the point lies, from 0 to 1.
+        weight: of the mean.
+
+    Returns:
+        Three float32.
     """
     low = weight * fy
     high = weight - low
-    upper_right, lower_right = high * fx, low * fx
-    return (
-        np.float32(high - upper_right),
-        np.float32(upper_right),
-        np.float32(low - lower_right),
-        np.float32(lower_right),
-    )
-
-
-@njit(inline="always")
-def weighted_sum(values, upper, lower, channels, weights):
-    """Sum of four weighted pixels in one channel.
-
-    Args:
-        values: of an image, (H, W, C) as (H * W * C,).
-        upper: index of the upper left value.
-        lower: index of the one below.
-        channels: of the image.
-        weights: as of ``corner_weights``.
-    """
-    top = weights[0] * values[upper] + weights[1] * values[upper + channels]
-    return top + weights[2] * values[lower] + weights[3] * values[lower + channels]
+    right, low_right = high * fx, low * fx
+    a, b, c, d = np.float32(high - right), np.float32(right), np.float32(low - low_right), np.float32(low_right)
+    upper = (row * columns + column) * channels
+    lower = upper + columns * channels
+    red = a * values[upper] + b * values[upper + channels] + c * values[lower] + d * values[lower + channels]
+    green = blue = np.float32(0)
+    if channels == 3:
+        green = a * values[upper + 1] + b * values[upper + 4] + c * values[lower + 1] + d * values[lower + 4]
+        blue = a * values[upper + 2] + b * values[upper + 5] + c * values[lower + 2] + d * values[lower + 5]
+    return red, green, blue
 
 
 @njit(cache=True, fastmath=True)

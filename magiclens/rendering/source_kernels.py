@@ -10,7 +10,7 @@ import numpy as np
 
 from magiclens.contract.artifacts import FloatArray, IntArray
 from magiclens.kernels.compiler import njit
-from magiclens.kernels.sampling import clamped_cell, corner_weights, weighted_sum
+from magiclens.kernels.sampling import clamped_cell, weighted_light
 from magiclens.kernels.threads import in_threads
 from magiclens.kernels.uncounted import uncounted
 
@@ -40,13 +40,8 @@ def _average_part(part, hits, source, per_mm, out):
                 inside, ix, iy, fx, fy = _on_raster(hits[i, j, k, 0], hits[i, j, k, 1], (rows, columns), per_mm)
                 if weight == 0.0 or not inside:
                     continue
-                weights = corner_weights(weight, fx, fy)
-                upper = (iy * columns + ix) * channels
-                lower = upper + columns * channels
-                red += weighted_sum(values, upper, lower, channels, weights)
-                if channels == 3:
-                    green += weighted_sum(values, upper + 1, lower + 1, channels, weights)
-                    blue += weighted_sum(values, upper + 2, lower + 2, channels, weights)
+                light = weighted_light(values, columns, channels, iy, ix, fx, fy, weight)
+                red, green, blue = red + light[0], green + light[1], blue + light[2]
             out[i, j, 0] = red
             if channels == 3:
                 out[i, j, 1], out[i, j, 2] = green, blue
