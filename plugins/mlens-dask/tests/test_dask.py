@@ -271,6 +271,24 @@ def test_the_scheduler_passes_on_no_arrays(idle: LocalCluster, tmp_path: Path) -
     assert asked == []
 
 
+def test_what_was_sent_to_a_worker_that_the_scheduler_does_not_know_is_sent_again(
+    idle: LocalCluster, tmp_path: Path
+) -> None:
+    idle.scale(1)
+    known, deaths = idle.scheduler.handlers["update_data"], ["tcp://127.0.0.1:1"] * 2
+
+    def forgetful(**what: Any) -> Any:
+        if deaths:
+            raise KeyError(deaths.pop())
+        return known(**what)
+
+    idle.scheduler.handlers["update_data"] = forgetful
+    with Dask(address=idle.scheduler_address).spreader() as cluster:
+        found = list(cluster.map(scaled, (np.full(10, 2.0), tmp_path), [np.ones(10)]))
+    assert found[0].tolist() == [2.0] * 10
+    assert deaths == []
+
+
 def test_workers_of_our_own_have_the_threads_asked_for() -> None:
     assert list(Dask(workers=1, threads=3).map(environment, range(1))) == ["3"]
 

@@ -139,9 +139,8 @@ class Cluster:
     def _submit(self, loop: _Loop, numbers: list[int]) -> None:
         if not numbers:
             return
-        self._wait_for_a_worker()
         given = self._everywhere(loop.given)
-        items = self._client.scatter([loop.left[number] for number in numbers], hash=False)
+        items = self._placed([loop.left[number] for number in numbers])
         for number, item in zip(numbers, items, strict=True):
             # not pure: Dask would work on equal items once
             future = self._client.submit(_call, loop.function, given, item, pure=False, priority=-number)
@@ -150,8 +149,21 @@ class Cluster:
     def _everywhere(self, given: Any) -> Future[Any]:
         """An object on all workers. The last one stays there, as several loops in a row are about the same pictures."""
         if self._sent is None or self._sent[0] is not given:
-            self._sent = given, self._client.scatter([given], hash=False, broadcast=True)[0]
+            self._sent = given, self._placed([given], broadcast=True)[0]
         return self._sent[1]
+
+    def _placed(self, data: list[Any], broadcast: bool = False) -> list[Future[Any]]:
+        """Objects that have been sent to workers, each to one or to all of them.
+
+        Raises:
+            OSError: The scheduler has died.
+        """
+        while True:
+            self._wait_for_a_worker()
+            try:
+                return self._client.scatter(data, hash=False, broadcast=broadcast)
+            except KeyError:  # the scheduler does not know the worker, which has died, or has not come back to it
+                time.sleep(0.1)
 
     def _connected(self) -> Client:
         from distributed import Client
