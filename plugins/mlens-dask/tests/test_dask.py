@@ -275,11 +275,14 @@ def test_what_was_sent_to_a_worker_that_the_scheduler_does_not_know_is_sent_agai
     idle: LocalCluster, tmp_path: Path
 ) -> None:
     idle.scale(1)
-    known, deaths = idle.scheduler.handlers["update_data"], ["tcp://127.0.0.1:1"] * 2
+    known, deaths = (
+        idle.scheduler.handlers["update_data"],
+        [KeyError("tcp://127.0.0.1:1"), ValueError("none to copy to")],
+    )
 
     def forgetful(**what: Any) -> Any:
         if deaths:
-            raise KeyError(deaths.pop())
+            raise deaths.pop()
         return known(**what)
 
     idle.scheduler.handlers["update_data"] = forgetful

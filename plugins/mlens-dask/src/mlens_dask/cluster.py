@@ -158,11 +158,16 @@ class Cluster:
         Raises:
             OSError: The scheduler has died.
         """
+        began = time.monotonic()
         while True:
             self._wait_for_a_worker()
             try:
                 return self._client.scatter(data, hash=False, broadcast=broadcast)
-            except KeyError:  # the scheduler does not know the worker, which has died, or has not come back to it
+            except (KeyError, ValueError):
+                # a scheduler does not know the worker that has them, which has died or has not come back: a KeyError;
+                # there is none left to copy them to: a ValueError
+                if time.monotonic() - began > TIMEOUT_S:
+                    raise
                 time.sleep(0.1)
 
     def _connected(self) -> Client:
