@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,11 +11,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from magiclens import run_spec
 from magiclens.cli import app
 from magiclens.contract.artifacts import Scene
 from magiclens.kernels.resuming import going_through_loops_by
 from magiclens.kernels.spreading import shares, spread, spreading_by
 from magiclens.matching.exhaustive import Exhaustive
+from magiclens.matching.multi_view import MultiViewMatcher
 from magiclens.plan.compile import load_plan
 
 SPEC = """\
@@ -29,9 +32,11 @@ class Others:
     def __init__(self, blocks: int):
         self.blocks = blocks
         self.items: list[Any] = []
+        self.functions: set[str] = set()
 
     def map(self, function: Callable[[Any, Any], Any], given: Any, items: Sequence[Any]) -> Iterator[Any]:
         self.items += items
+        self.functions.add(function.__name__)
         return iter([function(given, item) for item in items])
 
 
@@ -109,6 +114,46 @@ def test_facets_that_others_match_get_the_same_candidates(scene: Scene, blocks: 
     assert done[-1] == 1
     for name in ("offsets_mm", "maps", "errors"):
         assert getattr(found, name).tobytes() == getattr(alone, name).tobytes()
+
+
+EYES = """\
+scenario:
+  type: multi-view
+  source: {type: circles, seed: 7, size: 20mm}
+  views: [{target: {art: heart}, eye: {tilt: 9deg}}, {target: {art: star}, eye: {tilt: 9deg, azimuth: 180deg}}]
+lens: {size: 12mm, facets: 5, microfacets: 4, thickness: 15mm, relief: 4mm}
+pipeline:
+  matcher: {type: multi-view, window: 10%, scales: [0.3, 0.8], candidates: 9}
+  renderers: [{type: tracer, resolution: 64, samples: 2}]
+report: {analyses: []}
+"""
+
+
+@pytest.mark.parametrize("blocks", [2, 99])
+def test_facets_that_others_match_for_several_eyes_get_the_same_candidates(tmp_path: Path, blocks: int) -> None:
+    (tmp_path / "eyes.yaml").write_text(EYES, encoding="utf-8")
+    plan, others = load_plan(tmp_path / "eyes.yaml"), Others(blocks)
+    matcher, heights = plan.matcher.stage, np.random.default_rng(1).random((5, 5))
+    assert isinstance(matcher, MultiViewMatcher)
+    alone = matcher.match_at(plan.scene(), heights)
+    with spreading_by(others):
+        found = matcher.match_at(plan.scene(), heights)
+    assert len(others.items) == min(blocks, 5)
+    for name in ("offsets_mm", "maps", "errors", "heights_mm"):
+        assert getattr(found, name).tobytes() == getattr(alone, name).tobytes()
+
+
+def test_a_run_whose_loops_others_do_has_the_same_files(tmp_path: Path) -> None:
+    (tmp_path / "eyes.yaml").write_text(EYES, encoding="utf-8")
+    others = Others(2)
+    run_spec(tmp_path / "eyes.yaml", tmp_path / "alone")
+    with spreading_by(others):
+        run_spec(tmp_path / "eyes.yaml", tmp_path / "spread")
+    assert others.functions >= {"_match_rows", "_picture_rows"}
+    alone, spread_ = (
+        json.loads((tmp_path / name / "manifest.json").read_text())["artifacts"] for name in ("alone", "spread")
+    )
+    assert alone == spread_
 
 
 def test_an_executor_without_other_machines_is_refused_for_one_lens(spec: Path, tmp_path: Path) -> None:

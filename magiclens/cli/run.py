@@ -53,7 +53,7 @@ def run_command(
     """Design the lens of SPEC and write a run folder: mesh, source, simulated photographs, manifest.
 
     What an earlier run has kept is not done again, also after that run was killed. An executor that has other machines,
-    such as dask, spreads the work on facets over them.
+    such as dask, spreads what takes longest over them.
     """
     with reporting(traceback):
         from magiclens.cache.folder import keep_nothing

@@ -12,11 +12,11 @@ import numpy as np
 from magiclens.contract.artifacts import Candidates, FloatArray, Scene
 from magiclens.contract.stages import Matcher, Progress, silent
 from magiclens.kernels.resuming import resumable
-from magiclens.kernels.spreading import is_spread, shares, spread
 from magiclens.matching.channels import Channels, stack_channels
 from magiclens.matching.grain import seen_grain
 from magiclens.matching.options import LatticeOptions
 from magiclens.matching.pool import Pool
+from magiclens.matching.rows import match_in_blocks
 from magiclens.matching.tuples import Tiles
 
 
@@ -32,17 +32,7 @@ class Exhaustive(LatticeOptions, Matcher):
         Raises:
             InputError: some facet reaches no patch at all, or views do not share an eye.
         """
-        if not is_spread():
-            return self.match_rows(scene, 0, scene.lens.facets, progress)
-        blocks, found = shares(scene.lens.facets), []
-        for done, block in spread(_match_rows, (self, scene), blocks):
-            found.append(block)
-            progress((done + 1) / len(blocks))
-        return Candidates(
-            np.concatenate([block.offsets_mm for block in found]),
-            np.concatenate([block.maps for block in found]),
-            np.concatenate([block.errors for block in found]),
-        )
+        return match_in_blocks(_match_rows, (self, scene), scene.lens.facets, progress)
 
     def match_rows(self, scene: Scene, first: int, last: int, progress: Progress = silent) -> Candidates:
         """What ``match`` finds for the facets in rows ``first`` to ``last - 1``.
@@ -76,9 +66,9 @@ class Exhaustive(LatticeOptions, Matcher):
         return pool.candidates(lens, self.candidates)
 
 
-def _match_rows(given: tuple[Exhaustive, Scene], rows: range) -> Candidates:
+def _match_rows(given: tuple[Exhaustive, Scene], rows: range, progress: Progress = silent) -> Candidates:
     matcher, scene = given
-    return matcher.match_rows(scene, rows.start, rows.stop)
+    return matcher.match_rows(scene, rows.start, rows.stop, progress)
 
 
 def search_all(
@@ -105,15 +95,25 @@ def search_all(
     scales = [s for s in resolved_scales(options.scales, px, channels.source_px_mm) if s * px < size]
     pairs = [(s, s) for s in scales] if options.isotropic else list(itertools.product(scales, repeat=2))
 
+    if not scales:
+        return
+    # rows of the source that are in no facet's window are left out
+    low, high = tiles.centres[:, 1].min() - window.half, tiles.centres[:, 1].max() + window.half
+    ys = {s: rasters.raster_axis(s, px, window.step, size) for s in scales}
+    wanted = {s: y.within(low - s * tiles.pitch / 2, high + s * tiles.pitch / 2) for s, y in ys.items()}
+    taps = {s: rasters.footprints(y, s * px + grain, size, source.shape[1]) for s, y in ys.items()}
+    ends = [(at[wanted[s].start], at[wanted[s].stop - 1] + weights.shape[1]) for s, (at, weights) in taps.items()]
+    seen = range(min(first for first, _ in ends), min(max(end for _, end in ends), source.shape[1]))
+
     @lru_cache(maxsize=1)
     def columns(sx: float) -> tuple[rasters.RasterAxis, FloatArray]:
         x = rasters.raster_axis(sx, px, window.step, size)
-        return x, average_columns(source, *rasters.footprints(x, sx * px + grain, size, source.shape[2]))
+        around = rasters.footprints(x, sx * px + grain, size, source.shape[2])
+        return x, average_columns(source, *around, seen)
 
     for done, (sx, sy) in resumable(list(enumerate(pairs)), *pool.found):
-        (x, averages), y = columns(sx), rasters.raster_axis(sy, px, window.step, size)
-        taps = rasters.footprints(y, sy * px + grain, size, source.shape[1])
-        built = rasters.build_raster(averages, *taps, x, y, options.pixels)
+        (x, averages), y = columns(sx), ys[sy]
+        built = rasters.build_raster(averages, *taps[sy], x, y, options.pixels, wanted[sy])
         counts = x.count, y.count, x.skip, y.skip, x.stride, y.stride
         raster = rasters.Raster(*built, sx, sy, x.spacing_mm, y.spacing_mm, *counts)
         search(tiles, raster, window, not options.isotropic, optics, pool.found)

@@ -19,6 +19,7 @@ from magiclens.matching.exhaustive import resolved_scales
 from magiclens.matching.grain import seen_grain
 from magiclens.matching.options import LatticeOptions
 from magiclens.matching.pool import Pool
+from magiclens.matching.rows import match_in_blocks
 from magiclens.matching.tuples import Levels, PolishingRule
 
 if TYPE_CHECKING:
@@ -55,26 +56,7 @@ class MultiViewMatcher(LatticeOptions, Matcher):
         Raises:
             InputError: some facet reaches no patch in every view.
         """
-        from magiclens.matching.multi_view_kernels import BLOCKS, Trials, search_views
-        from magiclens.optics.medium import image_optics_of
-
-        lens, pictures = scene.lens, _pictures_of(scene)
-        pool = Pool(lens.facets**2, math.ceil(math.sqrt(self.candidates)))
-        source_px, block = lens.source_size_mm / pictures.sources.shape[2], lens.pitch_mm / BLOCKS
-        scales = resolved_scales(self.scales, block, source_px)
-        pairs = [(s, s) for s in scales] if self.isotropic else list(itertools.product(scales, scales))
-        grain = seen_grain(scene)
-        views = pictures.seen(lens.facets * BLOCKS, 1 / source_px, lens.size_mm)
-        boxes = [[(s * block + grain) / source_px for s in pair] for pair in pairs]
-        images = np.stack([_averaged(pictures.sources, box) for box in boxes])
-        search_views(
-            views, _facets(scene, heights_mm), Trials(np.array(pairs), images, not self.isotropic),
-            self.window_on(lens, pool.buckets), image_optics_of(scene), pool.found,
-        )  # fmt: skip
-        progress(0.7)
-        pool.require_all(lens)
-        pool.sort()
-        return self._finish(scene, pictures, pool, heights_mm, progress)
+        return self._match(scene, heights_mm, None, progress)
 
     def rematch(
         self, scene: Scene, candidates: Candidates, assignment: Assignment, built: HeightField, traced: FloatArray,
@@ -85,14 +67,35 @@ class MultiViewMatcher(LatticeOptions, Matcher):
         Its height moves a facet in the pictures of all eyes but the mean one. Facets that now see nothing but the
         source's rim keep the candidates that they had.
         """
-        pool, known = Pool.of(candidates), Pool.of(candidates)
-        return self._finish(scene, _pictures_of(scene), pool, built.levels_mm, progress, known)
+        return self._match(scene, built.levels_mm, candidates, progress)
 
-    def _finish(
-        self, scene: Scene, pictures: _Pictures, pool: Pool, heights: FloatArray, progress: Progress,
-        known: Pool | None = None,
-    ) -> Candidates:  # fmt: skip
-        """Polish and evaluate a pool of candidates; ``known`` is for facets that lose all of theirs."""
+    def _match(self, scene: Scene, heights: FloatArray, known: Candidates | None, progress: Progress) -> Candidates:
+        """Candidates for facets at heights (N, N): searched, or those that are known, as they are at these heights."""
+        found = match_in_blocks(_match_rows, (self, scene, heights, known), scene.lens.facets, progress)
+        return replace(found, heights_mm=heights)
+
+    def _search(self, scene: Scene, pictures: _Pictures, facets: Facets) -> Pool:
+        """The best lattice position per bucket for every facet, in no order."""
+        from magiclens.matching.multi_view_kernels import BLOCKS, Trials, search_views
+        from magiclens.optics.medium import image_optics_of
+
+        lens = scene.lens
+        pool = Pool(len(facets.centres), math.ceil(math.sqrt(self.candidates)))
+        source_px, block = lens.source_size_mm / pictures.sources.shape[2], lens.pitch_mm / BLOCKS
+        scales = resolved_scales(self.scales, block, source_px)
+        pairs = [(s, s) for s in scales] if self.isotropic else list(itertools.product(scales, scales))
+        grain = seen_grain(scene)
+        views = pictures.seen(lens.facets * BLOCKS, 1 / source_px, lens.size_mm)
+        boxes = [[(s * block + grain) / source_px for s in pair] for pair in pairs]
+        images = np.stack([_averaged(pictures.sources, box) for box in boxes])
+        search_views(
+            views, facets, Trials(np.array(pairs), images, not self.isotropic),
+            self.window_on(lens, pool.buckets), image_optics_of(scene), pool.found,
+        )  # fmt: skip
+        return pool
+
+    def _finish(self, scene: Scene, pictures: _Pictures, facets: Facets, pool: Pool, progress: Progress) -> None:
+        """Polish and evaluate the candidates of a pool; some facets may lose all of theirs."""
         from magiclens.matching.evaluation_kernels import Staircase
         from magiclens.matching.multi_view_kernels import evaluate_views, polish_views
         from magiclens.matching.polishing import ITERATIONS, WIDTHS_MM, blur_levels
@@ -101,8 +104,7 @@ class MultiViewMatcher(LatticeOptions, Matcher):
 
         lens, pixels, window, optics = scene.lens, 2 * self.pixels, self.window_on(scene.lens), image_optics_of(scene)
         per_mm = pictures.sources.shape[2] / lens.source_size_mm
-        views, facets = pictures.seen(lens.facets * pixels, per_mm, lens.size_mm), _facets(scene, heights)
-        grain = seen_grain(scene)
+        views, grain = pictures.seen(lens.facets * pixels, per_mm, lens.size_mm), seen_grain(scene)
         images = np.stack([blur_levels(s, 1 / per_mm, grain, WIDTHS_MM) for s in pictures.sources], axis=1)
         levels, rule = Levels(images, np.array(WIDTHS_MM)), PolishingRule(self.polish, ITERATIONS, self.isotropic)
         polish_views(views, facets, levels, pixels, window, rule, optics, pool.found)
@@ -110,12 +112,28 @@ class MultiViewMatcher(LatticeOptions, Matcher):
         pool.drop(self.acceptance)
         stairs = Staircase(lens.microfacets, math.nan, DISPLAY_TABLE)  # the scale of flat facets is an eye's own
         evaluate_views(views, facets, pictures.sources, pixels, stairs, window, optics, pool.found)
-        if known is not None:
-            pool.restore(known)
-        pool.require_all(lens)
-        pool.drop(self.acceptance)
+
+
+def _match_rows(
+    given: tuple[MultiViewMatcher, Scene, FloatArray, Candidates | None], rows: range, progress: Progress = silent
+) -> Candidates:
+    matcher, scene, heights, known = given
+    some = slice(rows.start, rows.stop)
+    lens, pictures, facets = scene.lens, _pictures_of(scene), _facets(scene, heights, some)
+    if known is None:
+        pool = matcher._search(scene, pictures, facets)
+        progress(0.7)
+        pool.require_all(lens, rows.start)
         pool.sort()
-        return replace(pool.candidates(lens, self.candidates), heights_mm=heights)
+    else:
+        pool = Pool.of(known, some)
+    matcher._finish(scene, pictures, facets, pool, progress)
+    if known is not None:
+        pool.restore(Pool.of(known, some))
+    pool.require_all(lens, rows.start)
+    pool.drop(matcher.acceptance)
+    pool.sort()
+    return pool.candidates(lens, matcher.candidates)
 
 
 @dataclass(frozen=True)
@@ -173,10 +191,10 @@ def _averaged(sources: FloatArray, box: Sequence[float]) -> FloatArray:
     return to_display(np.stack([box_blur(s, box[1], box[0]) for s in sources])).astype(np.float32)
 
 
-def _facets(scene: Scene, heights_mm: FloatArray) -> Facets:
-    """The facets of a scene's lens, their centres at heights (N, N), y down."""
+def _facets(scene: Scene, heights_mm: FloatArray, rows: slice) -> Facets:
+    """Some rows of the facets of a scene's lens, the centres of all of them at heights (N, N), y down."""
     from magiclens.matching.multi_view_kernels import Facets
 
     lens = scene.lens
-    centres = lens.facet_centres_mm().reshape(-1, 2) * (1, -1)
-    return Facets(centres, np.ascontiguousarray(heights_mm, np.float64).ravel(), lens.pitch_mm)
+    centres = lens.facet_centres_mm()[rows].reshape(-1, 2) * (1, -1)
+    return Facets(centres, np.ascontiguousarray(heights_mm[rows], np.float64).ravel(), lens.pitch_mm)

@@ -20,13 +20,13 @@ class Pool:
         self.maps = np.zeros((facets, k, 3), np.float64)
 
     @classmethod
-    def of(cls, candidates: Candidates) -> Pool:
-        """A pool of candidates that there are already."""
-        n, _, k = candidates.errors.shape
-        pool = cls(n * n, 0)
-        pool.errors = candidates.errors.reshape(n * n, k).copy()
-        pool.offsets = candidates.offsets_mm.reshape(n * n, k, 2).astype(np.float64) * (1, -1)
-        pool.maps = candidates.maps.reshape(n * n, k, 3).astype(np.float64) * (1, -1, 1)
+    def of(cls, candidates: Candidates, rows: slice = slice(None)) -> Pool:
+        """A pool of candidates that there are already, those of the facets in some rows or all."""
+        k = candidates.errors.shape[2]
+        pool = cls(0, 0)
+        pool.errors = candidates.errors[rows].reshape(-1, k).copy()
+        pool.offsets = candidates.offsets_mm[rows].reshape(-1, k, 2).astype(np.float64) * (1, -1)
+        pool.maps = candidates.maps[rows].reshape(-1, k, 3).astype(np.float64) * (1, -1, 1)
         return pool
 
     @property

@@ -15,58 +15,56 @@ from magiclens.matching.features import GREY, Basis
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _average_columns_part(part, source, first, weights, out):
-    """Part of the rows of all channels, see ``average_columns``."""
-    rows, last = source.shape[1], source.shape[2] - 1
-    count, taps = weights.shape
-    for cr in range(part.first, part.end):
-        c, r = cr // rows, cr % rows
-        for x in range(count):
-            s = np.float32(0.0)
-            for t in range(taps):
-                s += weights[x, t] * source[c, r, min(first[x] + t, last)]
-            out[c, r, x] = s
+    """Part of the rows, see ``average_columns``."""
+    last, (count, taps) = source.shape[2] - 1, weights.shape
+    for r in range(part.first, part.end):
+        for c in range(len(source)):
+            for x in range(count):
+                s = np.float32(0.0)
+                for t in range(taps):
+                    s += weights[x, t] * source[c, r, min(first[x] + t, last)]
+                out[c, r, x] = s
 
 
-def average_columns(source: FloatArray, first: IntArray, weights: FloatArray) -> FloatArray:
+def average_columns(source: FloatArray, first: IntArray, weights: FloatArray, rows: range | None = None) -> FloatArray:
     """Average a source over footprints along x: ``out[x] = sum over t of weights[x, t] * source[first[x] + t]``.
 
     Args:
         source: (C, H, W) float32, linear light.
         first: (count,) first pixel of each footprint, see ``rasters.footprints``.
         weights: (count, taps) float32.
+        rows: those of the source that are wanted; all by default.
 
     Returns:
-        (C, H, count) float32, linear light.
+        (C, H, count) float32, linear light; 0 in other rows.
     """
-    channels, rows, _ = source.shape
-    out = np.zeros((channels, rows, len(weights)), np.float32)
-    in_threads(_average_columns_part, channels * rows, source, first, weights, out)
+    out = np.zeros((*source.shape[:2], len(weights)), np.float32)
+    in_threads(_average_columns_part, rows or source.shape[1], source, first, weights, out)
     return out
 
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _display_rows_part(part, columns, first, weights, table, out):
-    """Part of the rows of all channels, see ``display_rows``."""
-    _, rows, width = columns.shape
-    count, taps = weights.shape
-    skip = out.shape[1]
+    """Part of the rows, see ``display_rows``."""
+    channels, last, width = len(columns), columns.shape[1] - 1, columns.shape[2]
+    taps, skip = weights.shape[1], out.shape[1]
     line = np.zeros(width, np.float32)
-    for cy in range(part.first, part.end):
-        c, y = cy // count, cy % count
-        line[:] = 0.0
-        for t in range(taps):
-            w, r = weights[y, t], min(first[y] + t, rows - 1)
-            for x in range(width):
-                line[x] += w * columns[c, r, x]
-        for phase in range(skip):
-            for n in range((width - phase + skip - 1) // skip):
-                k = int(line[n * skip + phase] * np.float32(len(table) - 1) + np.float32(0.5))
-                out[c, phase, y, n] = table[min(max(k, 0), len(table) - 1)]
+    for y in range(part.first, part.end):
+        for c in range(channels):
+            line[:] = 0.0
+            for t in range(taps):
+                w, r = weights[y, t], min(first[y] + t, last)
+                for x in range(width):
+                    line[x] += w * columns[c, r, x]
+            for phase in range(skip):
+                for n in range((width - phase + skip - 1) // skip):
+                    k = int(line[n * skip + phase] * np.float32(len(table) - 1) + np.float32(0.5))
+                    out[c, phase, y, n] = table[min(max(k, 0), len(table) - 1)]
 
 
 def display_rows(
-    columns: FloatArray, first: IntArray, weights: FloatArray, table: FloatArray, skip: int
-) -> FloatArray:  # fmt: skip
+    columns: FloatArray, first: IntArray, weights: FloatArray, table: FloatArray, skip: int, rows: range
+) -> FloatArray:
     """Average columns over footprints along y, and turn light into display values.
 
     Args:
@@ -75,13 +73,15 @@ def display_rows(
         weights: (count, taps) float32.
         table: display values of evenly spaced linear light from 0 to 1.
         skip: number of phases into which rows are split.
+        rows: those of the result that are wanted.
 
     Returns:
-        (C, skip, count, X / skip) float32 display values: sample (y, x) at [:, x % skip, y, x // skip].
+        (C, skip, count, X / skip) float32 display values: sample (y, x) at [:, x % skip, y, x // skip]; 0 in other
+        rows.
     """
     channels, _, width = columns.shape
     out = np.zeros((channels, skip, len(weights), -(-width // skip)), np.float32)
-    in_threads(_display_rows_part, channels * len(weights), columns, first, weights, table, out)
+    in_threads(_display_rows_part, rows, columns, first, weights, table, out)
     return out
 
 
@@ -154,7 +154,9 @@ def _features_part(part, samples, skip_y, places, basis, features):
             features[j, 1, i] = math.sqrt(max(left[i], 0.0))
 
 
-def patch_features(samples: FloatArray, skip_y: int, strides: tuple[int, int], basis: Basis) -> FloatArray:
+def patch_features(
+    samples: FloatArray, skip_y: int, strides: tuple[int, int], basis: Basis, rows: range | None = None
+) -> FloatArray:
     """What bounds know of the patches that begin at every so many samples.
 
     Args:
@@ -162,16 +164,19 @@ def patch_features(samples: FloatArray, skip_y: int, strides: tuple[int, int], b
         skip_y: samples between two neighbouring pixels of a patch along y.
         strides: samples between two neighbouring patches along y and x.
         basis: n vectors over the pixels of a patch.
+        rows: of samples; patches that leave them are not wanted. All by default.
 
     Returns:
-        (Y / sy, n + 2, X / sx) float32, without the places where a patch would leave the raster. Of a patch's values,
-        less GREY: the sum of squares, see ``kept_of_energy``, its coordinates along the vectors, after the norm of what
-        these leave out. The last EIGHT columns are there to be read with others.
+        (Y / sy, n + 2, X / sx) float32, without the places where a patch would leave the raster; 0 for patches that are
+        not wanted. Of a patch's values, less GREY: the sum of squares, see ``kept_of_energy``, its coordinates along
+        the vectors, after the norm of what these leave out. The last EIGHT columns are there to be read with others.
     """
-    _, skip, rows, width = samples.shape
-    pixels = len(basis.waves)
-    y = np.arange(0, max(rows - (pixels - 1) * skip_y, 0), strides[0])
+    _, skip, height, width = samples.shape
+    pixels, reach = len(basis.waves), (len(basis.waves) - 1) * skip_y
+    y = np.arange(0, max(height - reach, 0), strides[0])
+    rows = rows or range(height)
+    wanted = range(-(-rows.start // strides[0]), max(rows.stop - reach - 1, -1) // strides[0] + 1)
     x = np.arange(0, max((width - pixels + 1) * skip, 0), strides[1])
     features = np.zeros((len(y), len(basis.vectors) + 2, len(x) + EIGHT), np.float32)
-    in_threads(_features_part, len(y), samples, skip_y, (y, x % skip * width + x // skip), basis, features)
+    in_threads(_features_part, wanted, samples, skip_y, (y, x % skip * width + x // skip), basis, features)
     return features

@@ -7,6 +7,7 @@ look-up, so that the search below is exact, without interpolation. All four sign
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -40,6 +41,12 @@ class RasterAxis:
     def positions_mm(self) -> FloatArray:
         """(count,) float64: where the samples lie, from the middle of the source."""
         return (np.arange(self.count) - (self.count - 1) / 2) * self.spacing_mm
+
+    def within(self, first_mm: float, last_mm: float) -> range:
+        """The samples between two places, and a stride more on either side; the nearest sample if there is none."""
+        first, last = (mm / self.spacing_mm + (self.count - 1) / 2 for mm in (first_mm, last_mm))
+        start = min(max(math.floor(first) - self.stride, 0), self.count - 1)
+        return range(start, max(min(math.ceil(last) + self.stride + 1, self.count), start + 1))
 
 
 class Raster(NamedTuple):
@@ -110,8 +117,9 @@ def footprints(axis: RasterAxis, width_mm: float, size_mm: float, pixels: int) -
 
 
 def build_raster(
-    columns: FloatArray, first: IntArray, weights: FloatArray, x: RasterAxis, y: RasterAxis, pixels: int
-) -> tuple[FloatArray, Basis, FloatArray]:
+    columns: FloatArray, first: IntArray, weights: FloatArray, x: RasterAxis, y: RasterAxis, pixels: int,
+    rows: range | None = None,
+) -> tuple[FloatArray, Basis, FloatArray]:  # fmt: skip
     """Average columns over their footprints along y, too, and lay the samples out for the search.
 
     Sample (r_y, r_x) of the plain raster sits at [:, r_x % skip, r_y, r_x // skip], with the skip along x, so that the
@@ -123,10 +131,12 @@ def build_raster(
         weights: (y.count, taps) of the pixels from there on.
         x, y: the raster's axes.
         pixels: P, along a tile's side.
+        rows: those of the samples that are wanted; all by default.
 
     Returns:
         Samples (C, x.skip, y.count, X), float32 display values, a basis for their patches, and the ``patch_features``.
     """
-    samples = display_rows(columns, first, weights, DISPLAY_TABLE, x.skip)
-    basis = choose_basis(samples, y.skip, pixels)
-    return samples, basis, patch_features(samples, y.skip, (y.stride, x.stride), basis)
+    rows = rows or range(y.count)
+    samples = display_rows(columns, first, weights, DISPLAY_TABLE, x.skip, rows)
+    basis = choose_basis(samples[:, :, rows.start : rows.stop], y.skip, pixels)
+    return samples, basis, patch_features(samples, y.skip, (y.stride, x.stride), basis, rows)

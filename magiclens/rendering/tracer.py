@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -9,6 +10,10 @@ from pydantic import Field
 
 from magiclens.contract.artifacts import FloatArray, Lens, Scene, Solid, View
 from magiclens.contract.stages import Progress, Renderer, silent
+from magiclens.kernels.spreading import shares, spread
+
+_MOST_PIXELS = 2**20
+"""Pixels whose samples are traced before they are averaged, about: with 16 samples each, these need 200 MB."""
 
 
 class Tracer(Renderer):
@@ -21,16 +26,27 @@ class Tracer(Renderer):
 
     def render(self, scene: Scene, solid: Solid, progress: Progress = silent) -> list[FloatArray]:
         """See Renderer. Raises InputError if the solid is no longer a height field."""
-        pictures = []
-        traced: dict[tuple[float, ...], FloatArray] = {}
-        for done, view in enumerate(scene.views):
-            eye = tuple(view.eye_in_lens_frame_mm.tolist())
-            if eye not in traced:  # frames of an animation share one
-                traced[eye] = trace(solid, scene.lens, view, self.resolution, self.samples)
-            seen = picture(traced[eye], view.in_lens_frame().source, scene.lens.source_size_mm)
-            pictures.append(np.ascontiguousarray(np.rot90(seen, view.quarter_turns)))
-            progress((done + 1) / len(scene.views))
-        return pictures
+        eyes: dict[tuple[float, ...], list[int]] = {}  # frames of an animation share one
+        for number, view in enumerate(scene.views):
+            eyes.setdefault(tuple(view.eye_in_lens_frame_mm.tolist()), []).append(number)
+        side = self.resolution
+        items = [(numbers, rows) for numbers in eyes.values() for rows in shares(side, most=_MOST_PIXELS // side)]
+        pictures = [np.empty((side, side, view.source.shape[2]), np.float32) for view in scene.views]
+        for done, seen in spread(_picture_rows, (self, scene, solid), items):
+            numbers, rows = items[done]
+            for number, part in zip(numbers, seen, strict=True):
+                pictures[number][rows.start : rows.stop] = part
+            progress((done + 1) / len(items))
+        turned = zip(pictures, scene.views, strict=True)
+        return [np.ascontiguousarray(np.rot90(picture, view.quarter_turns)) for picture, view in turned]
+
+
+def _picture_rows(given: tuple[Tracer, Scene, Solid], item: tuple[Sequence[int], range]) -> list[FloatArray]:
+    """Some rows of the pictures of views that share an eye, by the numbers of the views; lens frame."""
+    (tracer, scene, solid), (numbers, rows) = given, item
+    views, ends = [scene.views[number] for number in numbers], (rows.start, rows.stop)
+    hits = trace(solid, scene.lens, views[0], tracer.resolution, tracer.samples, ends)
+    return [picture(hits, view.in_lens_frame().source, scene.lens.source_size_mm) for view in views]
 
 
 def trace(
@@ -51,8 +67,8 @@ def trace(
         rows: the first of the picture's rows that are wanted, and the one after the last; all by default.
 
     Returns:
-        (R, R, S * S, 3) float32, lens frame: source point x, y (mm, +y up) and transmission, which is 0 where light is
-        lost.
+        (rows, R, S * S, 3) float32, lens frame: source point x, y (mm, +y up) and transmission, which is 0 where light
+        is lost.
 
     Raises:
         InputError: a finisher has removed the grid.
@@ -71,12 +87,12 @@ def picture(hits: FloatArray, source: FloatArray, source_size_mm: float) -> Floa
     """The traced view of a source, by bilinear look-up.
 
     Args:
-        hits: (R, R, S * S, 3), as of ``trace``.
+        hits: (rows, R, S * S, 3), as of ``trace``.
         source: (H, W, C) linear light, in the lens frame.
         source_size_mm: side of the square that the source covers.
 
     Returns:
-        (R, R, C) float32, linear light, in the lens frame.
+        (rows, R, C) float32, linear light, in the lens frame.
     """
     from magiclens.rendering.source_kernels import average_samples
 
