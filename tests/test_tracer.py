@@ -14,6 +14,7 @@ from magiclens.geometry.solid import solid_from_heights
 from magiclens.integration.poisson import Poisson
 from magiclens.optics.medium import slab_of
 from magiclens.optics.walls import DOWN, RIGHT
+from magiclens.rendering.cone_kernels import STEEP, cones
 from magiclens.rendering.grid import grid_of
 from magiclens.rendering.tracer import Tracer, trace
 from magiclens.rendering.tracer_kernels import PictureRows, trace_rows
@@ -522,12 +523,31 @@ def test_light_that_is_known_to_meet_nothing_more_is_not_followed_and_ends_where
     lens, rng = small_lens(3, 4.0, microfacets=12, source=24.0), np.random.default_rng(4)
     heights = rng.uniform(-0.6, 0.6, (3, 3, 1, 1)) + rng.uniform(-0.05, 0.05, (3, 3, 13, 13))
     grid, eye = grid_of(solid_from_heights(surface(lens, heights, cut)), lens), np.array(ABOVE, float)
-    assert 0.2 < np.mean(grid.gentle > 0) < 1
+    assert 0.2 < np.mean(grid.below > STEEP) < 1
     rows = PictureRows(lens.size_mm, 64, 4, 0, 64)
-    shortened, followed = (
-        trace_rows(way, slab_of(lens), eye, rows) for way in (grid, grid._replace(gentle=np.zeros_like(grid.gentle)))
-    )
-    np.testing.assert_array_equal(shortened, followed)
+    all_steep = np.full_like(grid.below, 2 * STEEP)
+    nothing_known = grid._replace(above=-all_steep, below=all_steep)
+    shortened, followed = (trace_rows(way, slab_of(lens), eye, rows) for way in (grid, nothing_known))
+    np.testing.assert_allclose(shortened, followed, rtol=1e-6, atol=1e-6)
+
+
+def test_cones_reach_from_every_steep_cell_to_wherever_lines_could_meet_it() -> None:
+    rng, slope = np.random.default_rng(0), 2.0
+    us, vs = np.cumsum(rng.uniform(0.5, 1.0, 14)), -np.cumsum(rng.uniform(0.5, 1.0, 12))
+    ws = rng.uniform(0.0, 0.4, (12, 14))
+    ws[4:6, 6:9] += 3.0
+    above, below = cones(us, vs, ws, slope, 0.6)
+    steep = below < STEEP
+    assert 0.2 < steep.mean() < 0.8
+    assert (steep == (above > -STEEP)).all()
+    corners = np.stack([ws[:-1, :-1], ws[:-1, 1:], ws[1:, :-1], ws[1:, 1:]]) - ws.min()
+    gap_u = np.maximum(np.maximum(us[:-1, None] - us[1:], us[:-1] - us[1:, None]), 0)
+    gap_v = np.maximum(np.maximum(vs[1:, None] - vs[:-1], vs[1:] - vs[:-1, None]), 0)
+    for r, c in np.argwhere(~steep):
+        cone = slope * np.maximum(gap_v[r][:, None], gap_u[c])[steep]
+        assert below[r, c] <= (corners.min(axis=0)[steep] + cone).min() + 1e-5
+        assert above[r, c] >= (corners.max(axis=0)[steep] - cone).max() - 1e-5
+        assert below[r, c] >= corners.min() - 1e-5  # a bound that says something
 
 
 def test_a_free_mesh_is_for_other_renderers() -> None:

@@ -15,6 +15,7 @@ import numpy as np
 from magiclens.contract.artifacts import FloatArray, Lens, Solid
 from magiclens.contract.errors import InputError
 from magiclens.geometry.mark import foot_of
+from magiclens.rendering.cone_kernels import cones
 
 BLOCK_CELLS = 8
 """Cells along a side of the blocks whose heights are bounded, so that rays pass over them, or below, at little cost."""
@@ -33,12 +34,11 @@ class Grid(NamedTuple):
         ws: (rows, columns) w of the vertices.
         lows: w of the lowest vertex of each block of ``BLOCK_CELLS`` x ``BLOCK_CELLS`` cells.
         highs: w of its highest vertex.
-        nearby: w of the lowest vertex of each block and of the eight around it.
         lowest: w of the lowest vertex of all.
-        gentle: (rows - 1, columns - 1) float32, how far around each cell, in u or v, no cell is steeper than
-            ``gentlest``, mm.
-        gentlest: the slope, in w over u and v together, that rays have to exceed to leave a gentle cell for good.
-        block_mm: least width of a whole block, in u or v.
+        gentlest: slope, in w over u and v together, below which cells count as gentle.
+        above: (rows - 1, columns - 1) float32, for each gentle cell the height, in w from ``lowest``, from which on a
+            line upward that is steeper than ``gentlest`` meets no steep cell; a great one for steep cells.
+        below: the same, to which a line that falls has to come down; for steep cells it is minus a great one.
         points: (rows, columns, 3) the vertices in space, mm.
         cut_eye: (3,) the cutting eye, mm, or (0, 0, 0) for vertical cells.
         eye_distance: D, the cutting eye's distance from the reference plane, mm; 1 for vertical cells.
@@ -55,11 +55,10 @@ class Grid(NamedTuple):
     ws: FloatArray
     lows: FloatArray
     highs: FloatArray
-    nearby: FloatArray
     lowest: float
-    gentle: FloatArray
     gentlest: float
-    block_mm: float
+    above: FloatArray
+    below: FloatArray
     points: FloatArray
     cut_eye: FloatArray
     eye_distance: float
@@ -100,34 +99,21 @@ def grid_of(solid: Solid, lens: Lens) -> Grid:
     return Grid(us, vs, w, *bounds, points, eye, distance, False, *height_and_floor)
 
 
-def _bounds(ws: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, float]:
-    """``lows``, ``highs``, ``nearby`` and ``lowest`` of a ``Grid``; vertices between blocks belong to both."""
+def _bounds(ws: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    """``lows``, ``highs`` and ``lowest`` of a ``Grid``; vertices between blocks belong to both."""
     lows = highs = ws
     for axis in (0, 1):
         first = np.arange(0, ws.shape[axis] - 1, BLOCK_CELLS)
         border = np.minimum(first + BLOCK_CELLS, ws.shape[axis] - 1)
         lows = np.minimum(np.minimum.reduceat(lows, first, axis), lows.take(border, axis))
         highs = np.maximum(np.maximum.reduceat(highs, first, axis), highs.take(border, axis))
-    around = np.pad(lows, 1, mode="edge")
-    nearby = np.lib.stride_tricks.sliding_window_view(around, (3, 3)).min(axis=(2, 3))
-    return lows, highs, nearby, float(lows.min())
+    return lows, highs, float(lows.min())
 
 
-def _gentle(us: FloatArray, vs: FloatArray, ws: FloatArray, slope: float) -> tuple[FloatArray, float, float]:
-    """``gentle``, ``gentlest`` and ``block_mm`` of a ``Grid``."""
-    from scipy.ndimage import distance_transform_cdt
-
-    wide, tall = np.diff(us), -np.diff(vs)[:, None]
-    across, down = np.abs(np.diff(ws, axis=1)) / wide, np.abs(np.diff(ws, axis=0)) / tall
-    # along a way that is as long in u or in v, the larger of both, the surface rises by no more than both slopes
-    steepness = np.maximum(across[:-1] + down[:, 1:], across[1:] + down[:, :-1])
-    least = _NARROW * max(np.median(wide), np.median(tall))
-    ordinary = (wide >= least) & (tall >= least)
-    cells = distance_transform_cdt(np.pad((steepness < slope) & ordinary, 1, constant_values=True), "chessboard")
-    narrowest = min(wide[wide >= least].min(), tall[tall >= least].min())
-    gentle = np.maximum(cells[1:-1, 1:-1] - 1, 0) * np.float32(narrowest)
-    blocks = [np.abs(np.diff(lines[::BLOCK_CELLS])).min(initial=np.inf) for lines in (us, vs)]
-    return gentle, slope, float(min(blocks))
+def _gentle(us: FloatArray, vs: FloatArray, ws: FloatArray, slope: float) -> tuple[float, FloatArray, FloatArray]:
+    """``gentlest``, ``above`` and ``below`` of a ``Grid``."""
+    least = _NARROW * max(np.median(np.diff(us)), np.median(-np.diff(vs)))
+    return slope, *cones(us, vs, ws, slope, float(least))
 
 
 def _floor(below: FloatArray, marked: bool) -> tuple[float, float, float, float]:

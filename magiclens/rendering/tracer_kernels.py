@@ -19,7 +19,17 @@ from magiclens.kernels.threads import in_threads
 from magiclens.kernels.uncounted import uncounted
 from magiclens.optics.medium import Slab
 from magiclens.optics.refraction import refract, transmittance
+from magiclens.rendering.cone_kernels import STEEP
 from magiclens.rendering.grid import BLOCK_CELLS, Grid
+from magiclens.rendering.straight_path_kernels import (
+    BATCH,
+    goes_in,
+    goes_through,
+    room_for_batch,
+    straight_through,
+    way_in,
+    way_out,
+)  # fmt: skip
 
 _MOST_EVENTS = 8
 """Number of refractions and reflections after which a path counts as lost."""
@@ -63,19 +73,44 @@ def _trace_part(part, grid, slab, eye, rows, hits):
     places = np.zeros((samples * samples, 2))
     for k in range(samples * samples):
         places[k] = rotated_grid(k, samples)
-    cell = (np.int64(0), np.int64(0))
+    paths, columns = rows.resolution * samples * samples, hits.shape[3]
+    across, down, cells, lines = np.empty(paths), np.empty(paths), np.empty(paths, np.int64), np.empty(paths, np.int64)
+    near = np.int64(0)
+    for path in range(paths):
+        j, k = path // (samples * samples), path % (samples * samples)
+        across[path] = (j + places[k, 0]) * pixel - 0.5 * rows.size
+        cells[path] = near = _column(grid.us, across[path], near)
+    numbers, entries = room_for_batch(), np.empty((BATCH, 2), np.int64)
+    near = np.int64(0)
     for row in range(part.first, part.end):
-        i = rows.first + row
-        for j in range(rows.resolution):
-            for k in range(samples * samples):
-                right, down = places[k, 0], places[k, 1]
-                qx, qy = (j + right) * pixel - 0.5 * rows.size, 0.5 * rows.size - (i + down) * pixel
-                (x, y, weight, along_x, along_y), cell = _follow(grid, slab, eye, (qx, qy), cell)
-                if hits.shape[3] == 5:
-                    hits[row, j, k, 3], hits[row, j, k, 4] = along_x, along_y
+        for k in range(samples * samples):
+            qy = 0.5 * rows.size - (rows.first + row + places[k, 1]) * pixel
+            near = _row(grid.vs, qy, near)
+            for path in range(k, paths, samples * samples):
+                down[path], lines[path] = qy, near
+        into = hits[row].reshape(-1)
+        for first in range(0, paths, BATCH):
+            some = slice(first, min(first + BATCH, paths))
+            for n in range(some.stop - first):
+                entries[n, 0], entries[n, 1] = lines[first + n], cells[first + n]
+            straight_through(grid, slab, eye, across[some], down[some], entries, numbers)
+            for n in range(some.stop - first):
+                if goes_through(numbers, n):
+                    x, y, weight, along_x, along_y = way_out(numbers, n)
+                else:
+                    if goes_in(numbers, n):
+                        point, way, place, upper, weight = way_in(numbers, n)
+                        half = np.int64(_UPPER if upper else _LOWER)
+                        ray = point, way, place, (entries[n, 0], entries[n, 1]), half, True, weight
+                    else:
+                        ray = _arriving(grid, slab, eye, (across[first + n], down[first + n]), entries[n])
+                    x, y, weight, along_x, along_y = _follow(grid, slab, ray)
+                at = (first + n) * columns
+                if columns == 5:
+                    into[at + 3], into[at + 4] = along_x, along_y
                 else:
                     x, y = x + slab.gap * along_x, y + slab.gap * along_y
-                hits[row, j, k, 0], hits[row, j, k, 1], hits[row, j, k, 2] = x, y, weight
+                into[at], into[at + 1], into[at + 2] = x, y, weight
 
 
 def trace_rows(grid: Grid, slab: Slab, eye: FloatArray, rows: PictureRows) -> FloatArray:
@@ -110,23 +145,15 @@ def _traced(grid: Grid, slab: Slab, eye: FloatArray, rows: PictureRows, columns:
 
 
 @njit(cache=True, forceinline=True)
-def _follow(grid, slab, eye, through, near):
-    """The path from the eye through a point of the reference plane to the flat bottom, and on.
-
-    At every surface the ray goes on as ``refract(d, n, eta)`` with the weight ``T``, or, where T < 1/2, as
-    ``d + 2 cos_i n`` with the weight ``1 - T``; T is Fresnel's ``transmittance(cos_i, eta)``. Between surfaces,
-    ``_march`` crosses the grid's cells.
+def _arriving(grid, slab, eye, through, near):
+    """The ray that ``_follow`` is given: from an eye to the grid, toward a point of the reference plane.
 
     Args:
         grid: the top.
         slab: the glass.
         eye: (3,) mm.
-        through: x and y of the point of the reference plane, mm.
+        through: x and y of the point, mm.
         near: row and column of a cell near the path's first, from which that one is looked for.
-
-    Returns:
-        x and y, mm, where it leaves the bottom, the transmission, and how far it goes on along x and y per mm that it
-        falls; all 0 where light is lost. Row and column of the path's first cell.
     """
     dx, dy, dz = through[0] - eye[0], through[1] - eye[1], slab.depth - eye[2]
     q = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
@@ -136,33 +163,49 @@ def _follow(grid, slab, eye, through, near):
     u0, v0, w0 = _to_grid(grid, x, y, z)
     u1, v1, w1 = _to_grid(grid, x - dx * z / dz, y - dy * z / dz, 0.0)
     at = _entry(grid.us, grid.vs, (u0, v0), (u1, v1))
-    if at > 1.0:
-        return _LOST, near
     u0, v0, w0 = u0 + at * (u1 - u0), v0 + at * (v1 - v0), w0 + at * (w1 - w0)
-    x, y, z = _from_grid(grid, u0, v0, w0)
     r, c = _row(grid.vs, v0, near[0]), _column(grid.us, u0, near[1])
-    cell, ws = (r, c), grid.ws
-    if at > 0.0 and w0 < max(ws[r, c], ws[r, c + 1], ws[r + 1, c], ws[r + 1, c + 1]):
-        return _LOST, cell  # it meets the slab's side
+    ws, weight = grid.ws, 1.0
+    if at > 1.0 or (at > 0.0 and w0 < max(ws[r, c], ws[r, c + 1], ws[r + 1, c], ws[r + 1, c + 1])):
+        weight = 0.0  # it misses the grid, or meets the slab's side
     # the ray goes down, so it is not inside; numba would compile the march apart for literals
-    inside, weight, half = dz > 0.0, 1.0, np.int64(_EITHER)
+    return _from_grid(grid, u0, v0, w0), (dx, dy, dz), (u0, v0, w0), (r, c), np.int64(_EITHER), dz > 0.0, weight
+
+
+@njit(cache=True, forceinline=True)
+def _follow(grid, slab, ray):
+    """The path of a ray to the flat bottom, and on.
+
+    At every surface it goes on as ``refract(d, n, eta)`` with the weight ``T``, or, where T < 1/2, as
+    ``d + 2 cos_i n`` with the weight ``1 - T``; T is Fresnel's ``transmittance(cos_i, eta)``. Between surfaces,
+    ``_march`` crosses the grid's cells.
+
+    Args:
+        grid: the top.
+        slab: the glass.
+        ray: x, y and z of where it starts, mm; its direction; u, v and w of where it starts; row and column of the cell
+            there, and the half of it if it starts on the surface; whether it is in the glass; and its transmission,
+            0 if it is lost.
+
+    Returns:
+        x and y, mm, where it leaves the bottom, the transmission, and how far it goes on along x and y per mm that it
+        falls; all 0 where light is lost.
+    """
+    (x, y, z), (dx, dy, dz), (u0, v0, w0), (r, c), half, inside, weight = ray
     for _ in range(_MOST_EVENTS):
-        if dz == 0.0:
+        if dz == 0.0 or weight == 0.0:
             break
         reach = (grid.highest + 2 * _CLEARANCE_MM - z) / dz if dz > 0.0 else -z / dz
         u1, v1, w1 = _to_grid(grid, x + dx * reach, y + dy * reach, z + dz * reach)
-        if inside and _sinks(grid, (u0, v0, w0), (u1, v1, w1), (r, c)):
-            at = _end(grid, u1, v1)
-        else:
-            # the triangle on which a segment starts is left out, or rounding would find it crossed at once
-            at, r, c, half = _march(grid, (u0, v0, w0), (u1, v1, w1), (r, c), half, inside)
+        # the triangle on which a segment starts is left out, or rounding would find it crossed at once
+        at, r, c, half = _march(grid, (u0, v0, w0), (u1, v1, w1), (r, c), half, inside)
         if at >= _MISSED:
             lands = inside and dz < 0.0
             if lands and at == _LEFT_GRID:  # beyond the last facet the slab goes on as far as its sides lean out
                 fx, fy = x - dx * z / dz, y - dy * z / dz
                 lands = grid.floor_left <= fx <= grid.floor_right and grid.floor_bottom <= fy <= grid.floor_top
             if lands:
-                return _leave((x, y, z), (dx, dy, dz), weight, slab), cell
+                return _leave((x, y, z), (dx, dy, dz), weight, slab)
             break
         u0, v0, w0 = u0 + at * (u1 - u0), v0 + at * (v1 - v0), w0 + at * (w1 - w0)
         x, y, z = _from_grid(grid, u0, v0, w0)
@@ -179,7 +222,7 @@ def _follow(grid, slab, eye, through, near):
         else:
             dx, dy, dz = dx + 2.0 * cos_i * nx, dy + 2.0 * cos_i * ny, dz + 2.0 * cos_i * nz
             weight *= 1.0 - share
-    return _LOST, cell
+    return _LOST
 
 
 @njit(cache=True, forceinline=True)
@@ -192,22 +235,6 @@ def _leave(point, direction, weight, slab):
     if weight > 0.0 and oz < 0.0:
         return x - dx * z / dz, y - dy * z / dz, weight, -ox / oz, -oy / oz
     return _LOST
-
-
-@njit(cache=True, forceinline=True)
-def _sinks(grid, start, end, cell):
-    """Whether a segment that starts on the surface, and into the glass, will meet it no more: most do not.
-
-    Where the surface is gentle, a steeper segment stays below it. Where that ends, it has to be below all blocks
-    around, and where these end, below everything.
-    """
-    (u0, v0, w0), (u1, v1, w1), (r, c) = start, end, cell
-    aside, fall = max(abs(u1 - u0), abs(v1 - v0)), w0 - w1
-    return (
-        fall > grid.gentlest * aside
-        and (w0 - grid.nearby[r // BLOCK_CELLS, c // BLOCK_CELLS]) * aside < grid.gentle[r, c] * fall
-        and (w0 - grid.lowest) * aside < grid.block_mm * fall
-    )
 
 
 @njit(cache=True, forceinline=True)
@@ -241,28 +268,27 @@ def _march(grid, start, end, cell, skipped, inside):
     us, vs = grid.us, grid.vs
     (u0, v0, w0), (u1, v1, w1), (r, c) = start, end, cell
     du, dv, dw = u1 - u0, v1 - v0, w1 - w0
+    per_du, per_dv = 1.0 / du, 1.0 / dv
+    # once in the glass, a line that is steep meets steep cells only, and none of them once it is below their cones
+    steep = inside and -dw > grid.gentlest * max(abs(du), abs(dv))
     here = 0.0
     while True:
         high = w0 + here * dw
         block_r, block_c = r // BLOCK_CELLS, c // BLOCK_CELLS
-        if dw < 0.0 and high < grid.nearby[block_r, block_c]:
-            # it may leave the blocks around with nothing left to meet
-            left, right = max(block_c - 1, 0) * BLOCK_CELLS, min((block_c + 2) * BLOCK_CELLS, len(us) - 1)
-            upper, lower = max(block_r - 1, 0) * BLOCK_CELLS, min((block_r + 2) * BLOCK_CELLS, len(vs) - 1)
-            away_u = ((us[right] if du > 0 else us[left]) - u0) / du if du != 0.0 else 2.0
-            away_v = ((vs[upper] if dv > 0 else vs[lower]) - v0) / dv if dv != 0.0 else 2.0
-            if w0 + min(away_u, away_v, 1.0) * dw < grid.lowest:
-                return _end(grid, u1, v1), r, c, _EITHER
-        out_u = ((us[c + 1] if du > 0 else us[c]) - u0) / du if du != 0.0 else 2.0
-        out_v = ((vs[r] if dv > 0 else vs[r + 1]) - v0) / dv if dv != 0.0 else 2.0
+        if dw < 0.0 and high < grid.lowest:
+            return _end(grid, u1, v1), r, c, _EITHER
+        out_u = ((us[c + 1] if du > 0 else us[c]) - u0) * per_du if du != 0.0 else 2.0
+        out_v = ((vs[r] if dv > 0 else vs[r + 1]) - v0) * per_dv if dv != 0.0 else 2.0
         leave = min(out_u, out_v, 1.0)
         low = w0 + leave * dw
         low, high = min(low, high), max(low, high)
         clear = high < grid.lows[block_r, block_c] if inside else low > grid.highs[block_r, block_c]
-        if not clear:
+        if not clear and not (steep and grid.below[r, c] > STEEP):
             at, half = _meet(grid, (start, (du, dv, dw)), (r, c), skipped, (here, leave), inside)
             if at < _MISSED:
                 return at, r, c, half
+        if steep and low - grid.lowest <= grid.below[r, c]:
+            return _end(grid, u1, v1), r, c, _EITHER
         skipped = _EITHER
         if leave >= 1.0:
             return _MISSED, r, c, _EITHER
