@@ -38,25 +38,24 @@ def _cones_part(part, wide, tall, slope, tips, heights):
     Each pass takes what cells before have; as a cone rises by the width of every cell that lies between, at least.
     """
     rows, columns = heights.shape[1:]
+    aslant = np.full(columns + 2, _NOWHERE)
     for k in range(part.first, part.end):
-        field = heights[k]
         for turn in range(2):
             way = 1 if turn == 0 else -1
             for i in range(rows):
                 r = i if turn == 0 else rows - 1 - i
+                line = heights[k, r]
+                if i > 0:
+                    past, rise = heights[k, r - way], slope * tall[r - way]
+                    for c in range(columns):
+                        aslant[c + 1] = past[c] + min(rise, slope * wide[c])
+                    for c in range(columns):
+                        line[c] = min(min(line[c], past[c] + rise), min(aslant[c], aslant[c + 2]))
+                found = _NOWHERE
                 for j in range(columns):
                     c = j if turn == 0 else columns - 1 - j
-                    found = field[r, c]
-                    if j > 0:
-                        found = min(found, field[r, c - way] + slope * wide[c - way])
-                    if i > 0:
-                        rise = slope * tall[r - way]
-                        found = min(found, field[r - way, c] + rise)
-                        if j > 0:
-                            found = min(found, field[r - way, c - way] + min(rise, slope * wide[c - way]))
-                        if j < columns - 1:
-                            found = min(found, field[r - way, c + way] + min(rise, slope * wide[c + way]))
-                    field[r, c] = found
+                    line[c] = min(line[c], found)
+                    found = line[c] + slope * wide[c]
         for r in range(rows):
             for c in range(columns):
                 if tips[k, r, c] < _NOWHERE:
