@@ -21,7 +21,9 @@ from scenes import ABOVE, THICK, assigned, blank_scene, choices, small_lens
 N = 8
 IDENTITY = (1.0, 0.0, 1.0)
 annealers = pytest.mark.parametrize(
-    "annealer", [HeatBath(sweeps=10), Metropolis(acceptance=0.02)], ids=lambda a: a.type
+    "annealer",
+    [HeatBath(sweeps=10), HeatBath(sweeps=10, bound=5), Metropolis(acceptance=0.02)],
+    ids=["heat-bath", "heat-bath, bounded", "metropolis"],
 )
 
 

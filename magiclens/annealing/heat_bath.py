@@ -34,6 +34,9 @@ class HeatBath(Annealer):
     )
     step_weight: float = Field(0.002, ge=0, le=1e6, description="cost of a squared step per facet edge, per mm^2")
     screening: float = Field(1e-5, ge=0, le=1e6, description="cost of a facet's squared height, per mm^2")
+    bound: int = Field(
+        0, ge=0, le=10_000, description="rounds that look for a lower bound of the energy, which is reported; 0: none"
+    )
 
     def anneal(
         self, scene: Scene, candidates: Candidates, rng: np.random.Generator, progress: Progress = silent
@@ -79,7 +82,19 @@ class HeatBath(Annealer):
             "energy_lost_light": lost_light,
             "energy_even": even,
         }
+        if self.bound:
+            metrics |= self._bound(scene, candidates, lens, metrics["energy_after"])
         return Assignment.pick(candidates, choice, metrics)
+
+    def _bound(self, scene: Scene, candidates: Candidates, lens: _Lens, energy: float) -> dict[str, float]:
+        """Metrics of how little the energy could be at best."""
+        from magiclens.annealing.lower_bound import lower_bound
+        from magiclens.geometry.facets import edge_models
+
+        edges = edge_models(scene, candidates.offsets_mm, candidates.maps)
+        bound = lower_bound(lens.errors, edges, lens.terms, scene.lens.relief_mm, self.bound) / scene.lens.facets**2
+        above = {"energy_above_bound_percent": 100 * (energy / bound - 1)} if bound > 0 else {}
+        return {"energy_bound": bound, **above}
 
 
 class _Lens(NamedTuple):
