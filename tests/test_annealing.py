@@ -22,8 +22,8 @@ N = 8
 IDENTITY = (1.0, 0.0, 1.0)
 annealers = pytest.mark.parametrize(
     "annealer",
-    [HeatBath(sweeps=10), HeatBath(sweeps=10, bound=5), Metropolis(acceptance=0.02)],
-    ids=["heat-bath", "heat-bath, bounded", "metropolis"],
+    [HeatBath(sweeps=10), HeatBath(sweeps=10, settle=3, bound=5), Metropolis(acceptance=0.02)],
+    ids=["heat-bath", "heat-bath, settled and bounded", "metropolis"],
 )
 
 
@@ -132,6 +132,15 @@ def test_cooling_finds_less_than_a_cold_descent(scene: Scene) -> None:
         return float(np.mean([annealed(annealer, scene, many_candidates(k)).metrics["energy_after"] for k in range(4)]))
 
     assert mean_energy(0.003) < mean_energy(0.0)
+
+
+def test_squares_that_settle_between_sweeps_bring_heights_that_facets_do_not_find_one_by_one(scene: Scene) -> None:
+    """There is no choice; facets that all look outward have heights of a bowl."""
+    outward = choices(
+        scene.lens.facet_centres_mm()[:, :, None] / 5, np.ones((N, N, 1, 3)) * IDENTITY, np.zeros((N, N, 1))
+    )
+    alone, settled = (annealed(HeatBath(settle=settle), scene, outward).metrics["energy_after"] for settle in (0, 2))
+    assert settled < 0.5 * alone
 
 
 def rough_or_flat(error: float) -> Candidates:

@@ -34,6 +34,9 @@ class HeatBath(Annealer):
     )
     step_weight: float = Field(0.002, ge=0, le=1e6, description="cost of a squared step per facet edge, per mm^2")
     screening: float = Field(1e-5, ge=0, le=1e6, description="cost of a facet's squared height, per mm^2")
+    settle: int = Field(
+        0, ge=0, le=10_000, description="after every so many sweeps, squares of facets rise or fall together; 0: never"
+    )
     bound: int = Field(
         0, ge=0, le=10_000, description="rounds that look for a lower bound of the energy, which is reported; 0: none"
     )
@@ -53,7 +56,7 @@ class HeatBath(Annealer):
             One candidate per facet. The energies in ``metrics`` are per facet, in mean squared display values.
         """
         from magiclens.annealing.heat_bath_kernels import heat_bath_sweep
-        from magiclens.optics.walls import levels_sweep
+        from magiclens.optics.walls import levels_sweep, settle_levels
 
         n, lens = scene.lens.facets, _Lens.of(scene, candidates, self)
         # The start, which the result must not be worse than: every facet's best candidate, at its best height.
@@ -70,6 +73,9 @@ class HeatBath(Annealer):
             heat_bath_sweep(
                 choice, levels, lens.table, lens.terms, self.temperature * temperature, chance.random((n, n))
             )
+            if self.settle and (done + 1) % self.settle == 0:
+                turn = done // self.settle
+                settle_levels(levels, lens.edges(choice), lens.terms, scene.lens.relief_mm, turn)
             progress((done + 1) / len(seeds))
         after = lens.energies(choice, levels)
         if after.sum() > before.sum():

@@ -45,7 +45,7 @@ _METRIC_LABELS = {
     "energy_image": "of which image error",
     "energy_lost_light": "of which light lost at walls",
     "energy_even": "of which steps and heights",
-    "energy_bound": "which no choice of candidates could be below",
+    "energy_bound": "Energy that no choice could be below",
     "energy_above_bound_percent": "Energy above that bound, at most",
     "annealing_rounds": "Rounds of annealing",
     "integration_rounds": "Rounds of orientation and integration",
