@@ -23,6 +23,7 @@ class Comparison:
         peers: Do the same otherwise, by name.
         agreement: Says, from our result and a peer's, how they agree; raises Disagreement if they do not.
         missing: Peers that are not installed here.
+        once: Whether it takes so long that it is done only once, and timed then. Kernels are compiled before.
     """
 
     topic: str
@@ -31,6 +32,7 @@ class Comparison:
     peers: Mapping[str, Work]
     agreement: Callable[[Any, Any], str]
     missing: tuple[str, ...] = field(default=())
+    once: bool = False
 
 
 @dataclass(frozen=True)
@@ -64,18 +66,27 @@ def require(close: bool, what: str) -> str:
 def measure(comparison: Comparison, repeats: int) -> list[Ratio]:
     """The ratios of one comparison: medians of repeats, in which all take turns, forward and backward.
 
-    All do their work once before, untimed: kernels are compiled, memory is there, and results are compared.
+    All do their work once before, untimed unless that is all they do: kernels are compiled, memory is there, results
+    are compared.
     """
     works = {"": comparison.ours, **comparison.peers}
-    results = {name: work() for name, work in works.items()}
+    seconds: dict[str, list[float]] = {name: [] for name in works}
+
+    def timed(name: str) -> Any:
+        began = perf_counter()
+        result = works[name]()
+        seconds[name].append(perf_counter() - began)
+        return result
+
+    results = {name: timed(name) for name in works}
     said = {peer: comparison.agreement(results[""], results[peer]) for peer in comparison.peers}
     del results
-    seconds: dict[str, list[float]] = {name: [] for name in works}
-    for repeat in range(repeats):
-        for name in list(works)[:: -1 if repeat % 2 else 1]:
-            began = perf_counter()
-            works[name]()
-            seconds[name].append(perf_counter() - began)
+    if not comparison.once:
+        for times in seconds.values():
+            times.clear()
+        for repeat in range(repeats):
+            for name in list(works)[:: -1 if repeat % 2 else 1]:
+                timed(name)
     median = {name: statistics.median(times) for name, times in seconds.items()}
     return [
         Ratio(comparison.topic, comparison.task, peer, median[""], median[peer], said[peer])

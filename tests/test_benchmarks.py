@@ -47,6 +47,15 @@ def test_all_take_turns_and_the_median_counts(comparison: ModuleType, monkeypatc
     assert "| topic | task | peer | 2 s | 20 s | **10** | result result |" in comparison.table([ratio])
 
 
+def test_what_takes_long_is_done_once(comparison: ModuleType) -> None:
+    calls: list[str] = []
+    ours, peer = (lambda: calls.append("ours")), (lambda: calls.append("peer"))
+    case = comparison.Comparison("topic", "task", ours, {"peer": peer}, lambda a, b: "", once=True)
+    (ratio,) = comparison.measure(case, 3)
+    assert calls == ["ours", "peer"]
+    assert min(ratio.ours_s, ratio.peer_s) > 0
+
+
 def test_nothing_is_timed_where_results_differ(comparison: ModuleType) -> None:
     case = comparison.Comparison(
         "topic", "task", lambda: 1.0, {"peer": lambda: 1.1},
