@@ -1,7 +1,7 @@
 """Times magiclens next to what one would use instead, and prints one table of ratios.
 
     pip install -e '.[bench]'
-    python -m benchmarks [TOPIC ...] [--quick] [--repeats 5] [--write | --keep | --check]
+    python -m benchmarks [TOPIC ...] [--quick | --thorough] [--repeats 5] [--write | --keep | --check]
 
 Everything is timed in this process, on the same data, in turns, and a ratio is printed only if the results agree.
 ``--write`` also writes the table to ``docs/reference/performance.md``; ``--keep`` adds the ratios to
@@ -59,6 +59,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description="How fast magiclens is, next to others.")
     parser.add_argument("topics", nargs="*", metavar="TOPIC", help=f"of {', '.join(TOPICS)}; all by default")
     parser.add_argument("--quick", action="store_true", help="small sizes: whether it works, not how fast it is")
+    parser.add_argument("--thorough", action="store_true", help="also what takes half an hour: a very long annealing")
     parser.add_argument("--repeats", type=int, default=3, help="timings of which the median counts")
     parser.add_argument("--against", metavar="COMMIT", help="the older commit with which whole runs are compared")
     parser.add_argument("--write", action="store_true", help="write the table to docs/reference/performance.md, too")

@@ -21,9 +21,10 @@ def comparisons(options: argparse.Namespace) -> list[Comparison]:
     """Against the same energy cooled many times as slowly: how much is left to gain, and at what price."""
     if options.quick:
         return [_compared("single", 16, 8, HeatBath(sweeps=20), 60), _compared("single", 8, 8, _careful(20), 60)]
+    large = ("single", "rotating") if options.thorough else ()
     return [
         _compared("single", 32, 32, HeatBath(), 600),
-        *(_compared(spec, 128, 32, _careful(450), 20_000) for spec in ("single", "rotating")),
+        *(_compared(spec, 128, 32, _careful(450), 20_000) for spec in large),
     ]
 
 

@@ -27,7 +27,7 @@ class HeatBath(Annealer):
     type: ClassVar[str] = "heat-bath"
     version: ClassVar[str] = "2"
 
-    sweeps: int = Field(60, ge=1, le=10_000, description="sweeps over all facets while cooling")
+    sweeps: int = Field(60, ge=1, le=100_000, description="sweeps over all facets while cooling")
     temperature: float = Field(0.003, ge=0, le=100, description="at the start, in mean squared display values")
     loss_weight: float = Field(
         1.0, ge=0, le=1e6, description="weight of light lost at walls; 1 is what it costs the picture"

@@ -10,6 +10,8 @@ from magiclens.optics.refraction import facet_normal
 
 _LOW = 3.0
 """A lenslet rises by less than its steepest slope times this times half its side, twice what a plane does."""
+_ROUNDING = 1e-9
+"""The share by which estimates stay on the safe side."""
 _SPARE = 1.15
 """Relief that a lenslet must leave to spare: it is up to an eighth taller than nine points of it tell."""
 
@@ -43,8 +45,28 @@ def least_upright(centre, offset, m, half, optics):
 
 
 @njit(cache=True)
+def _surely_reachable(centre, offset, m, half, optics):
+    """Whether ``reachable`` is true by the triangle inequality alone: the steepest that any ray asks for is allowed."""
+    (cx, cy), (rx, ry), (xx, xy, yy), eye = centre, offset, m, optics.eye
+    corner = math.sqrt(2.0) * half
+    aside = math.sqrt((cx - eye[0]) ** 2 + (cy - eye[1]) ** 2) + corner
+    stretch = abs(xy) + max(abs(xx - 1.0), abs(yy - 1.0))
+    far, above = math.sqrt(rx * rx + ry * ry) + stretch * corner, eye[2] - optics.depth
+    sin_in, sin_slab = aside / math.sqrt(aside**2 + above**2), far / math.sqrt(far**2 + optics.depth**2)
+    cos_in, cos_slab = math.sqrt(1.0 - sin_in * sin_in), math.sqrt(1.0 - sin_slab * sin_slab)
+    if not (above > 0.0 and optics.ior * (cos_in * cos_slab - sin_in * sin_slab) > 1.0 + _ROUNDING):
+        return False
+    slope = (sin_in + optics.ior * sin_slab) / (optics.ior * cos_slab - 1.0) * (1.0 + _ROUNDING)
+    return (1.0 - _ROUNDING) / math.sqrt(
+        1.0 + slope * slope
+    ) >= optics.cos_limit and _LOW * slope * half <= optics.relief
+
+
+@njit(cache=True)
 def reachable(centre, offset, m, half, optics):
     """Can a facet show this patch, below the slope limit and within the relief? Arguments: see ``least_upright``."""
+    if _surely_reachable(centre, offset, m, half, optics):
+        return True
     upright = least_upright(centre, offset, m, half, optics)
     if upright < 0.0:
         return False
