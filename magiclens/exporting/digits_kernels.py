@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from magiclens.kernels.compiler import njit
 
 _MINUS, _POINT, _ZERO = 45, 46, 48
@@ -21,7 +23,7 @@ def write_rows(numbers, glue, ends, decimals, out):
         decimals: digits after the point, at most; zeros at the end are left out.
         out: uint8, the text, long enough.
     """
-    at = 0
+    at = np.int64(0)
     for row in range(len(numbers)):
         start = 0
         for column in range(numbers.shape[1] + 1):

@@ -19,18 +19,19 @@ def _rises_part(part, heights, centres, patches, side, optics, rises):
     m = k - 1
     d = side / m
     for f in range(part.first, part.end):
-        centre = centres[f]
+        centre, offset = (centres[f, 0], centres[f, 1]), (offsets[f, 0], offsets[f, 1])
+        map_ = (maps[f, 0], maps[f, 1], maps[f, 2])
         for a in range(k):
             for b in range(k):
                 u, v = centre[0] - 0.5 * side + b * d, centre[1] + 0.5 * side - a * d
                 if b < m:
                     h = 0.5 * (heights[f, a, b] + heights[f, a, b + 1])
-                    g, _, bad = facet_slope(u + 0.5 * d, v, h, centre, offsets[f], maps[f], optics)
+                    g, _, bad = facet_slope(u + 0.5 * d, v, h, centre, offset, map_, optics)
                     along_u[f, a, b] = g * d
                     clamped[f] += bad
                 if a < m:
                     h = 0.5 * (heights[f, a, b] + heights[f, a + 1, b])
-                    _, g, bad = facet_slope(u, v - 0.5 * d, h, centre, offsets[f], maps[f], optics)
+                    _, g, bad = facet_slope(u, v - 0.5 * d, h, centre, offset, map_, optics)
                     along_v[f, a, b] = -g * d  # rows go down, v goes up
                     clamped[f] += bad
 

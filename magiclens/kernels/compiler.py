@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import shutil
 import time
@@ -16,6 +17,7 @@ import numba
 import numpy as np
 from numba import config
 from numba.core.caching import CompileResultCacheImpl, _CacheLocator
+from numba.core.event import Event, Listener, register
 
 from magiclens.kernels.cache_folder import PACKAGE, cache_folder
 
@@ -81,6 +83,27 @@ class _PackageLocator(_CacheLocator):
         return None
 
 
+class _Collection(Listener):
+    """Keeps Python's garbage collector waiting during a compilation: of millions of objects it would find few to free.
+
+    numba compiles one kernel at a time, and within it those that it calls.
+    """
+
+    def __init__(self) -> None:
+        self._depth, self._goes_on = 0, False
+
+    def on_start(self, event: Event) -> None:
+        if self._depth == 0:
+            self._goes_on = gc.isenabled()
+            gc.disable()
+        self._depth += 1
+
+    def on_end(self, event: Event) -> None:
+        self._depth -= 1
+        if self._depth == 0 and self._goes_on:
+            gc.enable()
+
+
 def _prepare(folder: Path) -> None:
     """Make the folder, and remove those that have not been used for long."""
     if not folder.exists():
@@ -91,6 +114,7 @@ def _prepare(folder: Path) -> None:
     os.utime(folder)
 
 
+register("numba:compile", _Collection())
 with suppress(OSError):  # numba then looks for a place itself, or compiles for every run; see 'mlens doctor'
     _folder = cache_folder()
     _prepare(_folder)

@@ -85,7 +85,8 @@ def _evaluate_facet(f, tiles, source, per_mm, stairs, window, found):
     for k in range(found.errors.shape[1]):
         if not np.isfinite(found.errors[f, k]):
             continue
-        (rx, ry), m = (found.offsets[f, k, 0], found.offsets[f, k, 1]), found.maps[f, k]
+        rx, ry = found.offsets[f, k, 0], found.offsets[f, k, 1]
+        m = (found.maps[f, k, 0], found.maps[f, k, 1], found.maps[f, k, 2])
         look(places, (tiles.centres[f, 0] + rx, tiles.centres[f, 1] + ry), m, per_mm, source.shape)
         difference = _difference(f, tiles, source, places, stairs.display, light)
         found.errors[f, k] = difference + distance_term(rx, ry, window)

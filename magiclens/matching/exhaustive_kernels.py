@@ -205,7 +205,7 @@ def _bound_band(rows, patches, tile, raster, features, window, bounds):
     all_, least, lowest, weights, x2 = bounds.all, bounds.least, bounds.lowest, tile.weights, patches.x2
     _, planes, width = raster.features.shape
     count, signs, step = np.uint64(len(lowest)), len(all_), np.uint64(width)
-    e0, e1, e2, e3 = raster.basis.ends
+    zero, (e0, e1, e2, e3) = np.int64(0), raster.basis.ends  # numba would compile a function apart for a literal
     m2, lanes, zeros = (2.0 * window.half / window.step) ** 2, np.uint64(EIGHT), eight_times(np.float32(0.0))
     energy, unit = eight_times(tile.energy), eight_times(np.float32(tile.strips[0].size / m2))
     for n in range(np.uint64(0), count, lanes):
@@ -218,9 +218,9 @@ def _bound_band(rows, patches, tile, raster, features, window, bounds):
             q = plus(eight_at(x2, n), y2)
             low = times_plus(times_plus(q, q, q), unit, energy)
             if signs == 1:
-                low = _weighted(low, weights, (0, e3), features, start + n, step)
+                low = _weighted(low, weights, (zero, e3), features, start + n, step)
             else:
-                even = _weighted(low, weights, (0, e0), features, start + n, step)
+                even = _weighted(low, weights, (zero, e0), features, start + n, step)
                 odd_x = _weighted(zeros, weights, (e0, e1), features, start + n, step)
                 odd_y = _weighted(zeros, weights, (e1, e2), features, start + n, step)
                 odd = _weighted(zeros, weights, (e2, e3), features, start + n, step)
@@ -366,7 +366,7 @@ def _search_band(bucket, rows, seen, features, bounds, rule):
     size, buckets = np.float32(tile.strips[0].size), window.buckets
     sums, places = found.errors[f, first : first + buckets] * size, np.full((buckets, 3), -1)
     _bound_band(rows, patches, tile, raster, features, window, bounds)
-    _search_buckets((0, buckets), rows, seen, bounds, (sums, places), (window, optics, buckets < 0))
+    _search_buckets((np.int64(0), buckets), rows, seen, bounds, (sums, places), (window, optics, buckets < 0))
     for k in range(buckets):
         if places[k, 0] >= 0 and not _takes((f, first + k), sums[k] / size, places[k], patches, raster, rule):
             sums[k], places[k, 0] = found.errors[f, first + k] * size, -1

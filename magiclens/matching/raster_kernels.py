@@ -115,6 +115,7 @@ def _features_part(part, samples, skip_y, places, basis, features):
     """Part of the rows of features, see ``patch_features``; places: where they begin, along y and in a flat line."""
     channels, skip, _, width = samples.shape
     pixels, (at_y, at_x), line = len(basis.waves), places, skip * width
+    zero, one = np.int64(0), np.int64(1)  # numba would compile a function apart for literals
     # waves along y of all rows of a patch, mixtures of channels, waves along x: one after the other
     rows, waved = np.empty((pixels, line)), np.empty((pixels, channels, line))
     mixed, out, squares = np.empty(line + pixels), np.empty(line), np.empty(line + pixels)
@@ -135,7 +136,7 @@ def _features_part(part, samples, skip_y, places, basis, features):
             for wave in range(pixels):
                 if needed[wave].any():
                     _add_up(basis.waves, wave, rows.reshape(-1), line, waved[wave, c])
-        _add_up(ones, 0, squares, 1, out)
+        _add_up(ones, zero, squares, one, out)
         for i in range(len(at_x)):
             left[i] = out[at_x[i]]
             features[j, 0, i] = left[i] * kept
@@ -145,7 +146,7 @@ def _features_part(part, samples, skip_y, places, basis, features):
                     _add_up(basis.mixtures, mixture, waved[wave].reshape(-1), line, mixed[:line])
                 for m in range(len(basis.vectors)):
                     if basis.vectors[m, 0] == mixture and basis.vectors[m, 1] == wave:
-                        _add_up(basis.waves, basis.vectors[m, 2], mixed, 1, out)
+                        _add_up(basis.waves, basis.vectors[m, 2], mixed, one, out)
                         for i in range(len(at_x)):
                             value = out[at_x[i]]
                             features[j, m + 2, i] = value
