@@ -158,19 +158,28 @@ class Programs:
         self.scheduler.wait()
         self.scheduler = self.started_scheduler()
 
-    def kill_a_worker(self) -> None:
-        """Kill a worker that is at work, not who starts it again; return when the scheduler knows."""
+    def kill_a_worker(self, then: Callable[[], None] = lambda: None) -> None:
+        """Kill a worker that is at work, not who starts it again; return when the scheduler knows.
+
+        Args:
+            then: Done before another worker can do what this one leaves.
+        """
         with Client(self.address) as client:
             address = waited_for(lambda: next((at for at, keys in client.processing().items() if keys), None))
-            worker = psutil.Process(client.run(os.getpid, workers=[address])[address])
+            others = {at: psutil.Process(pid) for at, pid in client.run(os.getpid).items()}
+            worker = others.pop(address)
+            for other in others.values():
+                other.suspend()
             for process in (worker.parent(), worker):  # its nanny would start it again, too
                 process.kill()
             waited_for(lambda: address not in client.processing())
+        then()
+        for other in others.values():
+            other.resume()
 
     def kill_both(self) -> None:
-        """Kill a worker that is at work, and the scheduler while others are, or while all that is left waits."""
-        self.kill_a_worker()
-        self.kill_scheduler()
+        """Kill a worker that is at work, and the scheduler before others have done what it leaves."""
+        self.kill_a_worker(self.kill_scheduler)
 
     def end(self) -> None:
         for session in self.workers:
