@@ -99,21 +99,19 @@ def search_all(
         return
     # rows of the source that are in no facet's window are left out
     low, high = tiles.centres[:, 1].min() - window.half, tiles.centres[:, 1].max() + window.half
-    ys = {s: rasters.raster_axis(s, px, window.step, size) for s in scales}
-    wanted = {s: y.within(low - s * tiles.pitch / 2, high + s * tiles.pitch / 2) for s, y in ys.items()}
-    taps = {s: rasters.footprints(y, s * px + grain, size, source.shape[1]) for s, y in ys.items()}
+    axes = {s: rasters.raster_axis(s, px, window.step, size) for s in scales}
+    wanted = {s: y.within(low - s * tiles.pitch / 2, high + s * tiles.pitch / 2) for s, y in axes.items()}
+    taps = {s: rasters.footprints(y, s * px + grain, size, source.shape[1]) for s, y in axes.items()}
     ends = [(at[wanted[s].start], at[wanted[s].stop - 1] + weights.shape[1]) for s, (at, weights) in taps.items()]
     seen = range(min(first for first, _ in ends), min(max(end for _, end in ends), source.shape[1]))
 
     @lru_cache(maxsize=1)
-    def columns(sx: float) -> tuple[rasters.RasterAxis, FloatArray]:
-        x = rasters.raster_axis(sx, px, window.step, size)
-        around = rasters.footprints(x, sx * px + grain, size, source.shape[2])
-        return x, average_columns(source, *around, seen)
+    def columns(sx: float) -> FloatArray:
+        return average_columns(source, *rasters.footprints(axes[sx], sx * px + grain, size, source.shape[2]), seen)
 
     for done, (sx, sy) in resumable(list(enumerate(pairs)), *pool.found):
-        (x, averages), y = columns(sx), ys[sy]
-        built = rasters.build_raster(averages, *taps[sy], x, y, options.pixels, wanted[sy])
+        x, y = axes[sx], axes[sy]
+        built = rasters.build_raster(columns(sx), *taps[sy], x, y, options.pixels, wanted[sy])
         counts = x.count, y.count, x.skip, y.skip, x.stride, y.stride
         raster = rasters.Raster(*built, sx, sy, x.spacing_mm, y.spacing_mm, *counts)
         search(tiles, raster, window, not options.isotropic, optics, pool.found)

@@ -57,9 +57,8 @@ def _surely_reachable(centre, offset, m, half, optics):
     if not (above > 0.0 and optics.ior * (cos_in * cos_slab - sin_in * sin_slab) > 1.0 + _ROUNDING):
         return False
     slope = (sin_in + optics.ior * sin_slab) / (optics.ior * cos_slab - 1.0) * (1.0 + _ROUNDING)
-    return (1.0 - _ROUNDING) / math.sqrt(
-        1.0 + slope * slope
-    ) >= optics.cos_limit and _LOW * slope * half <= optics.relief
+    upright = (1.0 - _ROUNDING) / math.sqrt(1.0 + slope * slope)
+    return upright >= optics.cos_limit and _LOW * slope * half <= optics.relief
 
 
 @njit(cache=True)
