@@ -165,16 +165,30 @@ class Programs:
             then: Done before another worker can do what this one leaves.
         """
         with Client(self.address) as client:
-            address = waited_for(lambda: next((at for at, keys in client.processing().items() if keys), None))
-            others = {at: psutil.Process(pid) for at, pid in client.run(os.getpid).items()}
-            worker = others.pop(address)
-            for other in others.values():
-                other.suspend()
+
+            def at_work() -> str | None:
+                return next((at for at, keys in client.processing().items() if keys), None)
+
+            def suspended_at_work() -> str | None:
+                """A worker with an item that it cannot end; all are suspended then."""
+                waited_for(at_work)
+                for process in processes.values():
+                    process.suspend()
+                time.sleep(0.1)  # what was on its way to the scheduler is there
+                if (address := at_work()) is None:
+                    for process in processes.values():
+                        process.resume()
+                return address
+
+            waited_for(at_work)
+            processes = {at: psutil.Process(pid) for at, pid in client.run(os.getpid).items()}
+            address = waited_for(suspended_at_work)
+            worker = processes.pop(address)
             for process in (worker.parent(), worker):  # its nanny would start it again, too
                 process.kill()
             waited_for(lambda: address not in client.processing())
         then()
-        for other in others.values():
+        for other in processes.values():
             other.resume()
 
     def kill_both(self) -> None:

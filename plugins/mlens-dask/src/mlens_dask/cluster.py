@@ -177,8 +177,16 @@ class Cluster:
         return Client(self._address, timeout=TIMEOUT_S, direct_to_workers=True)
 
     def _named(self) -> object:
-        """The name of the scheduler, which another one does not have; None without a connection."""
-        return self._client.scheduler_info().get("id")
+        """The name of the scheduler, which another one does not have.
+
+        The client's own ``scheduler_info`` gives the name of a dead one as long as there is no other.
+
+        Raises:
+            OSError: The scheduler has died.
+        """
+        if (scheduler := self._client.scheduler) is None:
+            raise ConnectionError
+        return self._client.sync(scheduler.identity)["id"]
 
     def _reconnect(self) -> None:
         """Connect again.
