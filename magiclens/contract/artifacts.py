@@ -324,13 +324,13 @@ class HeightField(_ReadOnly):
         lifted: FloatArray = self.eye_mm + np.exp(h / rays[..., 2])[..., None] * rays
         return lifted
 
-    def facet_points_mm(self) -> FloatArray:
-        """Positions of all vertices: (N, N, m + 1, m + 1, 3) float64, mm, lens frame."""
+    def facet_points_mm(self, rows: slice = slice(None)) -> FloatArray:
+        """Positions of all vertices of some rows of facets: (R, N, m + 1, m + 1, 3) float64, mm, lens frame."""
         lens, m = self.lens, self.lens.microfacets
         # a facet ends half a wall before its cell does
         within = (np.arange(m + 1) / m - 0.5) * (lens.pitch_mm - lens.wall_mm)
-        centres = lens.facet_centres_mm()[:, :, None, None]
-        return self.points_mm(centres[..., 0] + within, centres[..., 1] - within[:, None], self.heights_mm)
+        centres = lens.facet_centres_mm()[rows, :, None, None]
+        return self.points_mm(centres[..., 0] + within, centres[..., 1] - within[:, None], self.heights_mm[rows])
 
 
 @dataclass(frozen=True)

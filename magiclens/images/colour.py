@@ -25,7 +25,10 @@ def to_display(linear: FloatArray) -> FloatArray:
     Light outside 0..1 is clipped.
     """
     v = np.clip(linear, 0.0, 1.0)
-    return np.where(v <= 0.0031308, v * 12.92, 1.055 * v ** (1 / 2.4) - 0.055)
+    curve = v ** (1 / 2.4)
+    curve *= 1.055  # in place: pictures are large
+    curve -= 0.055
+    return np.where(v <= 0.0031308, v * 12.92, curve)
 
 
 def grey(image: FloatArray) -> FloatArray:

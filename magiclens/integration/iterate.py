@@ -10,6 +10,7 @@ import numpy as np
 from magiclens.contract.artifacts import Assignment, FloatArray, HeightField, Scene
 from magiclens.contract.errors import StageError
 from magiclens.contract.stages import Progress
+from magiclens.integration.levels import excursions
 from magiclens.integration.orientation import edge_rises
 from magiclens.integration.surface_metrics import surface_metrics
 
@@ -77,7 +78,7 @@ def check_relief(heights: FloatArray, relief: float) -> None:
     Raises:
         StageError: it names the facet that is tallest.
     """
-    tallest = np.abs(heights).max(axis=(2, 3))
+    tallest = excursions(heights)
     if tallest.max() > relief * (1 + 1e-9):  # heights that were clipped to the relief may exceed it by rounding
         i, j = np.unravel_index(tallest.argmax(), tallest.shape)
         raise StageError(

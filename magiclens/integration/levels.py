@@ -38,7 +38,7 @@ def levels_of_least_steps(shapes: FloatArray, screening: float, relief: float) -
     spectrum[0, 0] = 0.0  # edges do not say how high the lens is as a whole: its mean level is 0
     eigenvalues = cosines(len(shapes))[1].copy()
     eigenvalues[0, 0] = 1.0
-    tallest = np.abs(shapes).max(axis=(2, 3))
+    tallest = excursions(shapes)
     while True:
         levels = idctn(spectrum / (eigenvalues + screening), norm="ortho")
         if (np.abs(levels) + tallest).max() <= relief:
@@ -80,9 +80,24 @@ def within_relief(shapes: FloatArray, levels: FloatArray, relief: float) -> Floa
     Returns:
         (N, N) levels, mm; 0 for a shape that is taller than the relief at any level.
     """
-    room = np.maximum(relief - np.abs(shapes).max(axis=(2, 3)), 0.0)
+    room = np.maximum(relief - excursions(shapes), 0.0)
     held: FloatArray = np.clip(levels, -room, room)
     return held
+
+
+def excursions(heights: FloatArray, rise: FloatArray | float = 0.0) -> FloatArray:
+    """Largest distances of facets' vertices from the reference plane.
+
+    Args:
+        heights: (..., k, k) mm.
+        rise: (...) mm, by which whole facets are raised first.
+
+    Returns:
+        (...) mm.
+    """
+    # without a copy of all heights
+    largest: FloatArray = np.maximum(heights.max(axis=(-2, -1)) + rise, -(heights.min(axis=(-2, -1)) + rise))
+    return largest
 
 
 def _edge_profiles(shapes: FloatArray) -> FloatArray:

@@ -17,6 +17,7 @@ from scipy.ndimage import gaussian_filter
 from magiclens.contract.artifacts import BoolArray, FloatArray, HeightField, Lens, Scene
 from magiclens.images import resize, to_display
 from magiclens.integration.laplacian import cosines
+from magiclens.integration.levels import excursions
 from magiclens.integration.refinement_kernels import Descent, Metric, Pictures, Samples, refine_facets
 from magiclens.integration.surface_metrics import surface_metrics
 from magiclens.kernels.spreading import shares, spread
@@ -71,8 +72,9 @@ def refine(
         shape.
     """
     facets, (wide, narrow) = _Facets(scene, built, locked), _BLURS
-    facets.begin([(_SHARP, 0), (wide, rounds)], lambda done: progress(0.38 * done))
-    errors = facets.descend([(narrow, rounds), (_SHARP, 0)], lambda done: progress(0.38 + 0.34 * done))
+    errors = facets.begin(
+        [(_SHARP, 0), (wide, rounds), (narrow, rounds), (_SHARP, 0)], lambda done: progress(0.72 * done)
+    )
     # facets that blurred sources made worse start from their given shapes again, now with a sharp source
     facets.keep_better(errors[-1])
     if relevel:
@@ -116,10 +118,12 @@ class _Facets:
         self._given, self._imperfect = self.heights.copy(), np.arange(len(self.heights))
         self.first = np.full(len(self.heights), np.inf)
 
-    def begin(self, passes: list[tuple[float, int]], progress: Callable[[float], None] = lambda _: None) -> None:
-        """Find ``first`` in the first of some passes, which has no steps, see ``descend``."""
-        self.first = self.descend(passes, progress)[0]
+    def begin(self, passes: list[tuple[float, int]], progress: Callable[[float], None] = lambda _: None) -> FloatArray:
+        """Find ``first`` in the first of some passes, which has no steps; returns what ``descend`` returns."""
+        errors = self.descend(passes, progress)
+        self.first = errors[0]
         self._imperfect = np.flatnonzero(self.first > _PERFECT)
+        return errors
 
     def descend(self, passes: list[tuple[float, int]], progress: Callable[[float], None]) -> FloatArray:
         """Take steps with all facets that are not perfect.
@@ -150,13 +154,14 @@ class _Facets:
         n, k = self._lens.facets, self._lens.microfacets + 1
         levels = self.heights.mean(axis=(1, 2))
         shapes = (self.heights - levels[:, None, None]).reshape(n, n, k, k)
-        rise = (levels_for(shapes, levels.reshape(n, n)).ravel() - levels)[:, None, None]
-        rise[np.abs(self._given + rise).max(axis=(1, 2)) > self._lens.relief_mm] = 0.0
-        self.heights, self._given = self.heights + rise, self._given + rise
+        rise = levels_for(shapes, levels.reshape(n, n)).ravel() - levels
+        rise[excursions(self._given, rise) > self._lens.relief_mm] = 0.0
+        self.heights += rise[:, None, None]
+        self._given += rise[:, None, None]
 
     def keep_better(self, errors: FloatArray) -> BoolArray:
         """Give facets their given shapes back unless errors (F,) are lower than at first; returns (F,) where so."""
-        better: BoolArray = (errors < self.first) & (np.abs(self.heights).max(axis=(1, 2)) <= self._lens.relief_mm)
+        better: BoolArray = (errors < self.first) & (excursions(self.heights) <= self._lens.relief_mm)
         self.heights = np.where(better[:, None, None], self.heights, self._given)
         return better
 
@@ -169,9 +174,9 @@ class _Common:
         self._last: dict[float, Pictures] = {}
 
     def pictures(self, blur_mm: float) -> Pictures:
-        """The pictures with blurred sources; the last two are kept, for the next block of facets."""
+        """The pictures with blurred sources; the last three are kept, for the next block of facets."""
         asked = self._last.pop(blur_mm, None) or blurred(self._pictures, blur_mm)
-        self._last = dict([*list(self._last.items())[-1:], (blur_mm, asked)])
+        self._last = dict([*list(self._last.items())[-2:], (blur_mm, asked)])
         return asked
 
 

@@ -34,19 +34,22 @@ class Channels:
         """Side of a source pixel, mm."""
         return self.source_size_mm / int(self.source.shape[2])
 
-    def tiles(self, facets: int, pixels: int) -> FloatArray:
+    def tiles(self, facets: int, pixels: int, rows: slice = slice(None)) -> FloatArray:
         """Cut the targets into the facets' tiles.
 
         Args:
             facets: N, along the lens's side.
             pixels: P, along a tile's side.
+            rows: of facets that are wanted; all by default.
 
         Returns:
-            (N, N, C, P, P) float32 display values.
+            (R, N, C, P, P) float32 display values.
         """
-        n = facets * pixels
-        small = np.stack([resize(c[..., None], (n, n))[..., 0] for c in self.target])
-        return to_display(small).reshape(-1, facets, pixels, facets, pixels).transpose(1, 3, 0, 2, 4).astype(np.float32)
+        n, (first, last, _) = facets * pixels, rows.indices(facets)
+        wanted = slice(first * pixels, last * pixels)
+        small = np.stack([resize(c[..., None], (n, n))[wanted, :, 0] for c in self.target])
+        shown = to_display(small).reshape(len(small), -1, pixels, facets, pixels)
+        return shown.transpose(1, 3, 0, 2, 4).astype(np.float32)
 
 
 def stack_channels(scene: Scene) -> Channels:

@@ -54,7 +54,7 @@ class Exhaustive(LatticeOptions, Matcher):
         from magiclens.matching.polishing import finish
 
         lens, channels, rows, pixels = scene.lens, stack_channels(scene), slice(first, last), self.pixels
-        values = channels.tiles(lens.facets, pixels)[rows].reshape(-1, len(channels.target), pixels, pixels)
+        values = channels.tiles(lens.facets, pixels, rows).reshape(-1, len(channels.target), pixels, pixels)
         centres = lens.facet_centres_mm()[rows].reshape(-1, 2) * (1, -1)
         # one row alone is a strided view: kernels would be compiled for it again
         tiles = Tiles(np.ascontiguousarray(values), centres, lens.pitch_mm)

@@ -65,7 +65,7 @@ def finish(
         isotropic: whether maps stay multiples of the identity.
     """
     lens, pixels, per_mm = scene.lens, 2 * options.pixels, 1 / channels.source_px_mm
-    values = channels.tiles(lens.facets, pixels)[rows].reshape(len(pool.errors), -1, pixels, pixels)
+    values = channels.tiles(lens.facets, pixels, rows).reshape(len(pool.errors), -1, pixels, pixels)
     centres, window = lens.facet_centres_mm()[rows].reshape(-1, 2) * (1, -1), options.window_on(lens)
     tiles = Tiles(_interleaved(values), centres, lens.pitch_mm)
     rule = PolishingRule(options.polish, ITERATIONS, isotropic)
@@ -96,7 +96,7 @@ def blur_levels(source: FloatArray, source_px_mm: float, grain_mm: float, widths
     grain = grain_mm / source_px_mm
     grained = box_blur(source, grain, grain)
     widths = [w / source_px_mm for w in widths_mm]
-    return np.stack(side_by_side(lambda w: to_display(box_blur(grained, w, w)), widths)).astype(np.float32)
+    return np.stack(side_by_side(lambda w: to_display(box_blur(grained, w, w)), widths), dtype=np.float32)
 
 
 def box_blur(image: FloatArray, rows: float, columns: float) -> FloatArray:

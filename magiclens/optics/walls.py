@@ -272,8 +272,20 @@ def levels_sweep(
         relief: squares with facets that rise or fall more than this, mm, stay where they are.
         squares: their side, facets, and how many rows and columns are missing of the first.
     """
+    _sweep(heights, edges, terms, _reach(edges, relief), squares)
+
+
+def _reach(edges: Edges, relief: float) -> FloatArray:
+    """(N, N) how far facets may be from the reference plane, mm."""
+    reach: FloatArray = relief - np.abs(edges.profiles).max(axis=(2, 3))
+    return reach
+
+
+def _sweep(
+    heights: FloatArray, edges: Edges, terms: EnergyTerms, reach: FloatArray, squares: tuple[int, int, int]
+) -> None:
+    """See ``levels_sweep``."""
     n, (side, cut_rows, _) = len(heights), squares
-    reach = relief - np.abs(edges.profiles).max(axis=(2, 3))
     blocks = -(-(n + cut_rows) // side)
     for colour in range(4):
         rows = (blocks + 1 - colour // 2) // 2
@@ -292,10 +304,10 @@ def settle_levels(heights: FloatArray, edges: Edges, terms: EnergyTerms, relief:
         relief: see ``levels_sweep``.
         turn: how often this has been done; squares have other places each time.
     """
-    side = max(len(heights) // 2, 1)
+    side, reach = max(len(heights) // 2, 1), _reach(edges, relief)
     while side > 0:
         cut = int(_GOLDEN * turn % 1.0 * side)
-        levels_sweep(heights, edges, terms, relief, (side, cut, cut))
+        _sweep(heights, edges, terms, reach, (side, cut, cut))
         side //= 2
 
 

@@ -14,9 +14,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any
 
-from distributed import Client, LocalCluster
 from mlens_dask.executor import Dask
 
 from magiclens import load_plan, run_plan, spreading_by
@@ -84,21 +82,17 @@ def _time_lens(work: Path) -> dict[int, float]:
     """Seconds that matching and refinement of one lens take, by the number of workers."""
     (work / "lens.yaml").write_text(_SCENARIO + _ONE, encoding="utf-8")
     seconds = {}
-    local: dict[str, Any] = {"threads_per_worker": 1, "memory_limit": 0, "dashboard_address": "127.0.0.1:0"}
-    with LocalCluster(n_workers=1, env={"NUMBA_NUM_THREADS": 1}, **local) as cluster, Client(cluster) as client:
-        for workers in (1, 2):
-            cluster.scale(workers)
-            client.wait_for_workers(workers)
-            with Dask(address=cluster.scheduler_address).spreader() as spreader, spreading_by(spreader):
-                run_plan(load_plan(work / "lens.yaml", _SMALL), work / "warm" / "lens")
-                watch = _Stopwatch()
-                began = time.perf_counter()
-                run_plan(load_plan(work / "lens.yaml"), work / f"by-{workers}" / "lens", watch)
+    for workers in (1, 2):
+        with Dask(workers=workers).spreader() as spreader, spreading_by(spreader):
+            run_plan(load_plan(work / "lens.yaml", _SMALL), work / "warm" / "lens")
+            watch = _Stopwatch()
+            began = time.perf_counter()
+            run_plan(load_plan(work / "lens.yaml"), work / f"by-{workers}" / "lens", watch)
             whole = time.perf_counter() - began
-            parts = {name: watch.seconds[name] for name in ("matcher exhaustive", "integrator poisson, refinement")}
-            texts = ", ".join(f"{name} {taken:.1f} s" for name, taken in parts.items())
-            print(f"one lens, {workers} workers: {texts}; the whole run {whole:.1f} s", flush=True)
-            seconds[workers] = sum(parts.values())
+        parts = {name: watch.seconds[name] for name in ("matcher exhaustive", "integrator poisson, refinement")}
+        texts = ", ".join(f"{name} {taken:.1f} s" for name, taken in parts.items())
+        print(f"one lens, {workers} workers: {texts}; the whole run {whole:.1f} s", flush=True)
+        seconds[workers] = sum(parts.values())
     return seconds
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import sys
 import threading
 import time
@@ -9,6 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cache
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from magiclens import InputError, StageError, raising
@@ -26,6 +28,11 @@ PATIENCE_S = 5.0
 """Seconds without any worker after which the user is told how to start one, and between two looks for workers."""
 _MOST_DEATHS = 4
 """So many workers may die while they have an item; it is tried once more then, alone."""
+
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
+"""glibc's parameters of ``mallopt``."""
+_LARGE_BYTES = 32 << 20
+"""Arrays above this size get new memory: the highest such size that glibc comes to by itself."""
 
 _one_at_a_time = threading.Lock()
 """Lock of the one item that a worker's process may work on: compiled code and matplotlib are not made for several."""
@@ -271,7 +278,21 @@ class _Loop:
 
 def _call(function: Callable[[_Given, _Item], _Result], given: _Given, item: _Item) -> _Result:
     with _one_at_a_time:
+        _keep_memory()
         return function(given, item)
+
+
+@cache
+def _keep_memory() -> None:
+    """Let arrays use memory again that others have freed, as in any program.
+
+    Dask's nanny has glibc give it back at once, so that every array of more than 128 kB begins with page faults: they
+    would take a tenth of the matching, and more the more workers there are on a machine.
+    """
+    with suppress(OSError, TypeError, AttributeError):  # no library, or not glibc
+        mallopt = ctypes.CDLL(None).mallopt
+        mallopt(_M_MMAP_THRESHOLD, _LARGE_BYTES)
+        mallopt(_M_TRIM_THRESHOLD, 2 * _LARGE_BYTES)
 
 
 def _say(text: str) -> None:

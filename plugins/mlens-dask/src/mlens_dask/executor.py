@@ -66,7 +66,8 @@ class Dask(Executor):
 
         A worker that runs compiled code may not answer for minutes, so silence does not count as death. Dask's limit of
         memory is off: it would kill workers that the operating system can still serve. So is its closing of lost
-        workers: it looks once, seconds after a worker died, and would close a nanny whose next worker is starting.
+        workers: it looks once, seconds after a worker died, and would close a nanny whose next worker is starting. And
+        so is its profiler: looking at a worker a hundred times a second takes a twentieth of a core.
         """
         if self.address is not None:
             yield self.address
@@ -74,10 +75,13 @@ class Dask(Executor):
         import dask
         from distributed import LocalCluster
 
+        settings = {
+            "distributed.scheduler.worker-ttl": None,
+            "distributed.deploy.lost-worker-timeout": _NEVER,
+            "distributed.worker.profile.enabled": False,
+        }
         with (
-            dask.config.set(
-                {"distributed.scheduler.worker-ttl": None, "distributed.deploy.lost-worker-timeout": _NEVER}
-            ),
+            dask.config.set(settings),
             LocalCluster(
                 n_workers=self.workers,
                 threads_per_worker=1,
