@@ -20,6 +20,7 @@ from numba.core.caching import CompileResultCacheImpl, _CacheLocator
 from numba.core.event import Event, Listener, register
 
 from magiclens.kernels.cache_folder import PACKAGE, cache_folder
+from magiclens.kernels.linking import TARGET
 
 _UNUSED_DAYS = 30
 """Kernels of other states of the sources are removed when nobody has used them for so long."""
@@ -40,7 +41,14 @@ def njit(*, fastmath: bool | set[str] = False, forceinline: bool = False, **opti
     """
     numba_njit: Callable[..., Callable[..., Any]] = numba.njit  # its types leave out the last of these options
     # nobody calls kernels from C, for which numba would compile one more function
-    return numba_njit(fastmath=fastmath, forceinline=forceinline, error_model="numpy", no_cfunc_wrapper=True, **options)
+    return numba_njit(
+        fastmath=fastmath,
+        forceinline=forceinline,
+        error_model="numpy",
+        no_cfunc_wrapper=True,
+        _target=TARGET,
+        **options,
+    )
 
 
 @cache

@@ -8,6 +8,7 @@ compiled when it is called.
 
 from __future__ import annotations
 
+import gc
 import os
 import subprocess
 import sys
@@ -163,7 +164,9 @@ def _start_child(specs: Sequence[Path], overrides: Sequence[str], parts: Sequenc
     command = [sys.executable, "-P", "-m", __name__, *what]
     # errors are of no interest: what the child has not compiled, the run compiles, and reports what is wrong
     nothing = subprocess.DEVNULL
-    return subprocess.Popen(command, stdin=nothing, stdout=subprocess.PIPE, stderr=nothing, text=True)
+    # numba words an error for every function that does not fit a call's types, and colours it
+    environment = {**os.environ, "NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING": "1"}
+    return subprocess.Popen(command, stdin=nothing, stdout=subprocess.PIPE, stderr=nothing, text=True, env=environment)
 
 
 def compile_parts(parts: Sequence[str], spec: Path, overrides: Sequence[str] = ()) -> None:
@@ -292,3 +295,4 @@ if __name__ == "__main__":
     _end_with(int(sys.argv[1]))
     for path in sys.argv[3].split(os.pathsep):
         compile_parts(sys.argv[2].split(","), Path(path), sys.argv[4:])
+    gc.freeze()  # the process ends, and with it its memory: otherwise Python would look through all objects first
