@@ -77,7 +77,7 @@ def sample_ideal_picture(rows_of_picture, source, per_mm, facets, size, samples,
     pixel = size / resolution
     share, places = 1 / samples**2, np.zeros((samples * samples, 2))
     for k in range(samples * samples):
-        places[k] = rotated_grid(k, samples)
+        places[k, 0], places[k, 1] = rotated_grid(k, samples)
     for r in range(rows_of_picture.first, rows_of_picture.end):
         for c in range(resolution):
             red = green = blue = np.float32(0)

@@ -247,10 +247,13 @@ def _span(centre, window, spacing, mid, last, stride):
 @njit(cache=True)
 def _bucket_rows(y, window):
     """(buckets + 1,) which row of offsets, y mm, is the first in each bucket."""
-    rows = np.empty(len(y), np.int64)
+    rows = np.zeros(window.buckets + 1, np.int64)
     for j in range(len(y)):
-        rows[j] = min(max(int((y[j] + window.half) / (2.0 * window.half) * window.buckets), 0), window.buckets - 1)
-    return np.searchsorted(rows, np.arange(window.buckets + 1))
+        bucket = min(max(int((y[j] + window.half) / (2.0 * window.half) * window.buckets), 0), window.buckets - 1)
+        rows[bucket + 1] += 1
+    for k in range(window.buckets):
+        rows[k + 1] += rows[k]
+    return rows
 
 
 @njit(cache=True)
@@ -384,7 +387,9 @@ def _search_facet(f, tiles, raster, samples, features, rule, mirrored):
     if not (len(patches.x) and len(patches.y)):
         return
     tile = _describe(tiles.values[f], 4 if mirrored else 1, raster.basis)
-    tallest, width = np.diff(patches.rows).max(), len(patches.x2)
+    tallest, width = 0, len(patches.x2)
+    for down in range(window.buckets):
+        tallest = max(tallest, patches.rows[down + 1] - patches.rows[down])
     all_ = np.empty((len(tile.strips), tallest, width), np.float32)
     bounds = _Bounds(all_, np.empty((tallest, width), np.float32), np.empty(width, np.float32))
     for down in range(window.buckets):

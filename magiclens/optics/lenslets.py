@@ -252,8 +252,12 @@ def tallest(centre, offset, m, half, optics):
                 rises[a, b] = 0.5 * (up + rises[a, b] + rises[1, b] + side)
         corners = rises[0, 0] + rises[0, 2] + rises[2, 0] + rises[2, 2]
         mean = (corners + 4.0 * (rises[0, 1] + rises[1, 0] + rises[1, 2] + rises[2, 1])) / 36.0  # Simpson's rule
-        heights = rises - mean
-        last, tall = tall, np.abs(heights).max()
+        last, tall = tall, 0.0
+        for a in range(3):
+            for b in range(3):
+                heights[a, b] = rises[a, b] - mean
+                if not abs(heights[a, b]) <= tall:  # nan wins
+                    tall = abs(heights[a, b])
         if tall > _FAR_OFF * optics.relief or abs(tall - last) < _SETTLED * tall:
             break
     return tall

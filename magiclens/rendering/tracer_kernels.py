@@ -72,7 +72,7 @@ def _trace_part(part, grid, slab, eye, rows, hits):
     pixel = rows.size / rows.resolution
     places = np.zeros((samples * samples, 2))
     for k in range(samples * samples):
-        places[k] = rotated_grid(k, samples)
+        places[k, 0], places[k, 1] = rotated_grid(k, samples)
     paths, columns = rows.resolution * samples * samples, hits.shape[3]
     across, down, cells, lines = np.empty(paths), np.empty(paths), np.empty(paths, np.int64), np.empty(paths, np.int64)
     near = np.int64(0)
