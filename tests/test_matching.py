@@ -22,6 +22,7 @@ from magiclens.integration.poisson import Poisson
 from magiclens.matching import rasters
 from magiclens.matching.channels import stack_channels
 from magiclens.matching.exhaustive import Exhaustive, resolved_scales, search_all
+from magiclens.matching.features import LOW_BITS
 from magiclens.matching.multi_view import MultiViewMatcher
 from magiclens.matching.polishing import blur_levels, box_blur, polished
 from magiclens.matching.pool import Pool
@@ -134,11 +135,11 @@ def test_raster_samples_are_box_averages_of_the_source_at_their_places(scales: t
         r, c = RNG.integers((y.count - 7 * y.skip) // y.stride), RNG.integers((x.count - 7 * x.skip) // x.stride)
         rs, cs = r * y.stride + np.arange(8)[:, None] * y.skip, c * x.stride + np.arange(8) * x.skip
         patch = samples[:, cs % x.skip, rs, cs // x.skip].ravel() - 0.5
-        energy, rest, coordinates = features[r, 0, c], features[r, 1, c], features[r, 2:, c]
-        np.testing.assert_allclose(coordinates, vectors @ patch, atol=1e-6)
-        assert rest == pytest.approx(np.sqrt((patch**2).sum() - ((vectors @ patch) ** 2).sum()), rel=1e-4)
-        assert energy == pytest.approx((patch**2).sum(), rel=1e-5)
-        assert energy <= (patch.astype(float) ** 2).sum()
+        numbers = features[c // 8, r, :, c % 8].ravel().astype(int)
+        rest = np.sqrt((patch**2).sum() - ((vectors @ patch) ** 2).sum())
+        known = np.array([rest, *(vectors @ patch)]) * basis.steps
+        np.testing.assert_allclose(numbers[[2, *basis.places]], known, atol=0.51)
+        assert numbers[0] * 2**LOW_BITS + numbers[1] == (numbers[2:] ** 2).sum()
 
 
 # the search

@@ -24,7 +24,7 @@ class Exhaustive(LatticeOptions, Matcher):
     """Exact search over offsets and axis-aligned maps, pruned by a lower bound; best per bucket; polished."""
 
     type: ClassVar[str] = "exhaustive"
-    version: ClassVar[str] = "4"
+    version: ClassVar[str] = "5"
 
     def match(self, scene: Scene, rng: np.random.Generator, progress: Progress = silent) -> Candidates:
         """Search, polish, sort.

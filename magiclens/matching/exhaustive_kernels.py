@@ -1,12 +1,12 @@
 """The exhaustive search: every offset in the window, for one raster and all four signs of its map.
 
-A candidate's squared difference is bounded from below by a few coordinates of tile and patch, see ``features``, and by
-what these leave out,
+A candidate's squared difference is bounded from below by how far apart a few coordinates of tile and patch are, and
+what these leave out, see ``features``. These are whole numbers of steps, so that bounds are, too:
 
-``|tile - patch|^2 >= |tile|^2 + |patch|^2 - 2 (sum of (tile's coordinate * patch's) + rest * rest)``
+``(sqrt(|tile - patch|^2) steps + sqrt(n + 1))^2 >= |tile|^2 + |patch|^2 - 2 (sum of tile's coordinate * patch's)``
 
-so that a row of bounds is a sum of rows of the raster's features, each times a number. In each bucket the offset with
-the least bound is compared first, and then those whose bounds are below the best so far.
+where the right side is of coordinates in steps: each is half a step wrong at most. In each bucket the offset with the
+least bound is compared first, and then those whose bounds allow them to be better than the best so far.
 """
 
 from __future__ import annotations
@@ -20,39 +20,53 @@ from magiclens.contract.artifacts import FloatArray, IntArray
 from magiclens.kernels.compiler import njit
 from magiclens.kernels.eights import (
     EIGHT,
+    at_most,
     eight_at,
     eight_times,
     four_and_four,
     lesser,
+    lowest_bit,
     minus,
+    pairs_times_plus,
     plus,
     put_eight,
     times_plus,
     total,
 )  # fmt: skip
 from magiclens.kernels.threads import in_threads
-from magiclens.matching.features import GREY
-from magiclens.matching.raster_kernels import kept_of_energy
+from magiclens.kernels.uncounted import uncounted
+from magiclens.matching.features import GREY, LOW_BITS
+from magiclens.matching.raster_kernels import in_steps
 from magiclens.matching.rasters import Raster
 from magiclens.matching.reachability_kernels import distance_term, reachable
 from magiclens.matching.tuples import Found, Tiles, Window
 from magiclens.optics.medium import Optics
 
-_ULP = np.float32(2.0**-23)
+_ULP = 2.0**-23
 """The share by which an addition of float32 can be wrong, twice."""
+_NEVER = 2**30
+"""A bound of what is not compared: more than any other."""
+_ROW = 2**20
+"""What a row adds to a ``_place``."""
+_MASK = _ROW - 1
+"""Of the numbers in a ``_place``."""
+_FAR = 2**24
+"""The largest distance term in bounds, along one axis."""
 
 
 class _Patches(NamedTuple):
     """Where the patches of one facet lie in a raster: those whose centres are in the window, row by row.
 
+    Columns are counted from the first of the EIGHT that hold the window's first.
+
     Args:
         centre: (x, y) of the facet, mm.
         half: half its pitch, mm.
-        first: x, y of the first patch, in patches.
-        edges: (buckets + 1,) which offset of a row is the first in each bucket.
+        first: x, y of the first column and row, in patches; x is a multiple of EIGHT.
+        edges: (buckets + 1,) which column is the first in each bucket.
         rows: (buckets + 1,) which row is the first in each bucket.
-        x, y: (n_x,) and (n_y,) offsets, mm.
-        x2: (n_x and some more,) float32: the squares of x, of that of the window's side.
+        x, y: (columns,) and (n_y,) offsets, mm.
+        far_x, far_y: (columns,) and (n_y,) int32: what their squares add to bounds; _NEVER beside the window.
     """
 
     centre: tuple[float, float]
@@ -62,35 +76,48 @@ class _Patches(NamedTuple):
     rows: IntArray
     x: FloatArray
     y: FloatArray
-    x2: FloatArray
+    far_x: IntArray
+    far_y: IntArray
 
 
 class _Bounds(NamedTuple):
-    """Bounds of squared differences, the distance term included, of the patches in a band of rows.
+    """Bounds of squared differences in steps, the distance term included, of the patches in a band of rows.
 
     Args:
-        all: (signs, rows, n_x and some more); without meaning if there is one sign.
-        least: (rows, n_x and some more), the least of all signs.
-        lowest: (n_x and some more), the least of each column.
+        signs: how many there are.
+        all: (signs, blocks, rows, EIGHT) int32, flat.
+        least: (blocks, rows, EIGHT) int32, flat: the least of all signs; if there is one, that is ``all``.
+        lowest: (blocks EIGHT,) int32, the least of each column.
+        tall: how many rows there is room for.
+        places: room for the ``_place`` of all these, and of those of one sign once more.
+        sums: room for as many sums of squared differences.
     """
 
-    all: FloatArray
-    least: FloatArray
-    lowest: FloatArray
+    signs: int
+    all: IntArray
+    least: IntArray
+    lowest: IntArray
+    tall: int
+    places: IntArray
+    sums: FloatArray
 
 
 class _Tile(NamedTuple):
     """A tile as the raster is compared with it.
 
     Args:
-        strips: (signs, S EIGHT) its pixels, mirrored or not, in the order of ``_strips_of``.
-        weights: (n + 2,) of a patch's features in bounds.
-        energy: the sum of its squares, less what rounding may add to a bound.
+        strips: (signs, S EIGHT) its pixels, mirrored or not, in the order of ``_strips_of``; flat.
+        signs: how many there are.
+        size: how many values a tile has.
+        weights: (2 pairs,) int16, of a patch's numbers in bounds.
+        energy: the sum of the squares of its own, int32.
     """
 
     strips: FloatArray
-    weights: FloatArray
-    energy: np.float32
+    signs: int
+    size: int
+    weights: IntArray
+    energy: np.int32
 
 
 class _Samples(NamedTuple):
@@ -100,11 +127,15 @@ class _Samples(NamedTuple):
         values: flat.
         strips: (S,) uint64: from a patch's first sample to each strip of EIGHT samples of its rows.
         half: from a strip's first half to its second, which is below the first where rows have half as many pixels.
+        columns: (X,) uint64: the first sample of the first patch of each column of patches.
+        row: from a row of patches to the next.
     """
 
     values: FloatArray
     strips: IntArray
     half: np.uint64
+    columns: IntArray
+    row: np.uint64
 
 
 @njit(cache=True)
@@ -118,31 +149,82 @@ def _strips_of(raster, pixels):
             for kx in range(0, pixels, EIGHT):
                 strips[u] = ky * row + c * channel + kx
                 u += 1
-    return _Samples(raster.samples.reshape(-1), strips, np.uint64(row if tall > 1 else EIGHT // 2))
+    columns = np.empty(len(raster.features) * EIGHT, np.uint64)
+    for n in range(len(columns)):
+        at = n * raster.stride_x
+        columns[n] = at % skip * height * width + at // skip
+    half = np.uint64(row if tall > 1 else EIGHT // 2)
+    return _Samples(raster.samples.reshape(-1), strips, half, columns, np.uint64(raster.stride_y * width))
 
 
 @njit(cache=True, forceinline=True)
-def _difference(tile, begin, values, strips, half, start, limit):
-    """Sum of squared differences of a tile and a patch; some sum above the limit, if it is above.
+def _place(k, sign, row, column):
+    """A bucket, a sign, and a row and column in its band, as a number."""
+    return (((k << 2) + sign) << 40) + row * _ROW + column
+
+
+@njit(cache=True, forceinline=True)
+def _taken_apart(place):
+    """Bucket, sign, row and column of a ``_place``."""
+    return place >> 42, (place >> 40) & 3, (place >> 20) & _MASK, place & _MASK
+
+
+@njit(cache=True, forceinline=True)
+def _start(place, samples, first, size):
+    """Where the strips of the tile for a place's sign begin, and the first sample of its patch; unsigned.
 
     Args:
-        tile: its strips, flat.
-        begin: where those of the sign begin.
-        values, strips, half: the ``_Samples``.
-        start: the patch's first sample.
-        limit: a larger sum is of no interest.
+        place: a ``_place``.
+        samples: of the raster.
+        first: x, y of the first column and row, in patches.
+        size: how many values a tile has.
+    """
+    _, sign, row, column = _taken_apart(place)
+    return np.uint64(sign * size), samples.columns[np.uint64(first[0] + column)] + np.uint64(
+        first[1] + row
+    ) * samples.row
+
+
+@njit(cache=True, forceinline=True)
+def _squared(sums, tile, begin, samples, at):
+    """Sums of squares and those of a strip of a tile less that of a patch."""
+    values, half = samples.values, samples.half
+    if half == np.uint64(EIGHT // 2):
+        apart = minus(eight_at(tile, begin), eight_at(values, at))
+    else:
+        apart = minus(eight_at(tile, begin), four_and_four(values, at, at + half))
+    return times_plus(apart, apart, sums)
+
+
+@njit(cache=True, forceinline=True)
+def _four_sums(tile, places, at, samples, first):
+    """Sums of squared differences of the tile and four patches: a processor can add to one while others wait.
+
+    Args:
+        tile: that of the facet.
+        places: where four follow each other from one on.
+        at: which is the first.
+        samples: of the raster.
+        first: x, y of the first column and row, in patches.
     """
     # unsigned: for other indices each access asks whether it counts from the end
-    four, lanes, sums, found = np.uint64(4), np.uint64(EIGHT), eight_times(np.float32(0.0)), np.float32(0.0)
-    for u in range(np.uint64(0), np.uint64(len(strips)), np.uint64(1)):
-        at = start + strips[u]
-        apart = minus(eight_at(tile, begin + u * lanes), four_and_four(values, at, at + half))
-        sums = times_plus(apart, apart, sums)
-        if u % four == four - np.uint64(1):
-            found = total(sums)
-            if found > limit:
-                return found
-    return total(sums)
+    u, one, lanes, strips, pixels = np.uint64(0), np.uint64(1), np.uint64(EIGHT), samples.strips, tile.strips
+    (t0, a0), (t1, a1) = (
+        _start(places[at], samples, first, tile.size),
+        _start(places[at + one], samples, first, tile.size),
+    )
+    (t2, a2), (t3, a3) = (
+        _start(places[at + one + one], samples, first, tile.size),
+        _start(places[at + one + one + one], samples, first, tile.size),
+    )
+    s0 = s1 = s2 = s3 = eight_times(np.float32(0))
+    for k in range(np.uint64(0), np.uint64(len(strips)), one):
+        s0 = _squared(s0, pixels, t0 + u, samples, a0 + strips[k])
+        s1 = _squared(s1, pixels, t1 + u, samples, a1 + strips[k])
+        s2 = _squared(s2, pixels, t2 + u, samples, a2 + strips[k])
+        s3 = _squared(s3, pixels, t3 + u, samples, a3 + strips[k])
+        u += lanes
+    return total(s0), total(s1), total(s2), total(s3)
 
 
 @njit(cache=True, fastmath={"contract", "reassoc"})
@@ -154,7 +236,7 @@ def _describe(values, signs, basis):
         for ky in range(pixels):
             for kx in range(pixels):
                 energy += (np.float64(values[c, ky, kx]) - GREY) ** 2
-    weights, rest = np.empty(len(basis.vectors) + 2, np.float32), energy
+    numbers, rest, sum_ = np.zeros(2 * basis.ends[3], np.int16), energy, np.int64(0)
     for m in range(len(basis.vectors)):
         mixture, wave_y, wave_x = basis.vectors[m, 0], basis.vectors[m, 1], basis.vectors[m, 2]
         coordinate = 0.0
@@ -166,9 +248,13 @@ def _describe(values, signs, basis):
                     along += basis.waves[wave_x, kx] * (np.float64(values[c, ky, kx]) - GREY)
                 inner += basis.waves[wave_y, ky] * along
             coordinate += basis.mixtures[mixture, c] * inner
-        weights[m + 2] = -2.0 * coordinate
+        numbers[basis.places[m]] = in_steps(coordinate, basis)
         rest -= coordinate * coordinate
-    weights[0], weights[1] = 1.0, -2.0 * math.sqrt(max(rest, 0.0))
+    numbers[2] = in_steps(math.sqrt(max(rest, 0.0)), basis)
+    for m in range(len(numbers)):
+        sum_ += np.int64(numbers[m]) ** 2
+        numbers[m] = -2 * numbers[m]
+    numbers[0], numbers[1] = 1 << LOW_BITS, 1
     strips, tall = np.empty((signs, values.size), np.float32), max(EIGHT // pixels, 1)
     for s in range(signs):
         for ky in range(pixels):
@@ -177,21 +263,37 @@ def _describe(values, signs, basis):
                 for kx in range(pixels):
                     x, y = pixels - 1 - kx if s & 1 else kx, pixels - 1 - ky if s & 2 else ky
                     strips[s, at + kx] = values[c, y, x]
-    return _Tile(strips, weights, np.float32(energy * kept_of_energy(len(basis.vectors))))
+    return _Tile(strips.reshape(-1), signs, values.size, numbers, np.int32(sum_))
 
 
 @njit(cache=True, forceinline=True)
-def _weighted(sums, weights, span, features, start, step):
-    """``sums + sum over m in the span of weights[m] * features[start + m * step]``, for EIGHT patches at once."""
-    at = start + np.uint64(span[0]) * step
-    for m in range(span[0], span[1]):
-        sums = times_plus(eight_times(weights[m]), eight_at(features, at), sums)
-        at += step
-    return sums
+def _weighted(sums, weights, span, features, starts):
+    """Sums for EIGHT patches each of four rows: weights[2 m] and [2 m + 1] times the m-th pair, for m in the span."""
+    (s0, s1, s2, s3), (a0, a1, a2, a3) = sums, starts
+    at, two, lanes = np.uint64(span[0]) * np.uint64(2 * EIGHT), np.uint64(2), np.uint64(2 * EIGHT)
+    for m in range(np.uint64(span[0]), np.uint64(span[1]), np.uint64(1)):
+        s0 = pairs_times_plus(features, a0 + at, weights, two * m, s0)
+        s1 = pairs_times_plus(features, a1 + at, weights, two * m, s1)
+        s2 = pairs_times_plus(features, a2 + at, weights, two * m, s2)
+        s3 = pairs_times_plus(features, a3 + at, weights, two * m, s3)
+        at += lanes
+    return s0, s1, s2, s3
 
 
-@njit(cache=True)
-def _bound_band(rows, patches, tile, raster, features, window, bounds):
+@njit(cache=True, forceinline=True)
+def _put_signs(even, odd_x, odd_y, odd, all_, at, plane):
+    """Put the bounds of all four signs, and return the least of them."""
+    b0, b1 = plus(plus(even, odd_x), plus(odd_y, odd)), plus(minus(even, odd_x), minus(odd_y, odd))
+    b2, b3 = minus(plus(even, odd_x), plus(odd_y, odd)), minus(minus(even, odd_x), minus(odd_y, odd))
+    put_eight(all_, at, b0)
+    put_eight(all_, at + plane, b1)
+    put_eight(all_, at + plane + plane, b2)
+    put_eight(all_, at + plane + plane + plane, b3)
+    return lesser(lesser(b0, b1), lesser(b2, b3))
+
+
+@njit(cache=True, forceinline=True)
+def _bound_band(rows, patches, tile, raster, features, bounds):
     """Fill in the bounds of a band.
 
     Args:
@@ -199,41 +301,48 @@ def _bound_band(rows, patches, tile, raster, features, window, bounds):
         patches, tile: of the facet.
         raster: where the patches are.
         features: of the raster, flat.
-        window: the search window.
         bounds: to fill in.
     """
-    all_, least, lowest, weights, x2 = bounds.all, bounds.least, bounds.lowest, tile.weights, patches.x2
-    _, planes, width = raster.features.shape
-    count, signs, step = np.uint64(len(lowest)), len(all_), np.uint64(width)
+    all_, least, lowest, weights, signs = bounds.all, bounds.least, bounds.lowest, tile.weights, tile.signs
+    _, height, pairs, _, _ = raster.features.shape
+    tall, step, lanes = bounds.tall, np.uint64(pairs * 2 * EIGHT), np.uint64(EIGHT)
     zero, (e0, e1, e2, e3) = np.int64(0), raster.basis.ends  # numba would compile a function apart for a literal
-    m2, lanes, zeros = (2.0 * window.half / window.step) ** 2, np.uint64(EIGHT), eight_times(np.float32(0.0))
-    energy, unit = eight_times(tile.energy), eight_times(np.float32(tile.strips[0].size / m2))
-    for n in range(np.uint64(0), count, lanes):
-        put_eight(lowest, n, eight_times(np.float32(np.inf)))
-    for j in range(rows[0], rows[1]):
-        start = np.uint64((patches.first[1] + j) * planes * width + patches.first[0])
-        y2, row = eight_times(np.float32((patches.y[j] / (2.0 * window.half)) ** 2)), np.uint64(j - rows[0]) * count
-        for n in range(np.uint64(0), count, lanes):
-            # q / (1 - q) / m^2 is the distance term, q + q^2 is less
-            q = plus(eight_at(x2, n), y2)
-            low = times_plus(times_plus(q, q, q), unit, energy)
+    plane, zeros, far_y = np.uint64(least.size), eight_times(np.int32(0)), patches.far_y
+    last, energy = rows[1] - 1, tile.energy
+    for b in range(len(lowest) // EIGHT):
+        far, low = eight_at(patches.far_x, np.uint64(b) * lanes), eight_times(np.int32(_NEVER))
+        start = np.uint64((patches.first[0] // EIGHT + b) * height + patches.first[1]) * step
+        block = np.uint64(b * tall) * lanes
+        for j in range(rows[0], rows[1], 4):
+            # four rows at once: a processor can add to one while others wait; the last may come more than once
+            r1, r2, r3 = min(j + 1, last), min(j + 2, last), min(j + 3, last)
+            starts = (
+                start + np.uint64(j) * step,
+                start + np.uint64(r1) * step,
+                start + np.uint64(r2) * step,
+                start + np.uint64(r3) * step,
+            )
+            s0 = plus(far, eight_times(np.int32(energy + far_y[j])))
+            s1 = plus(far, eight_times(np.int32(energy + far_y[r1])))
+            s2 = plus(far, eight_times(np.int32(energy + far_y[r2])))
+            s3 = plus(far, eight_times(np.int32(energy + far_y[r3])))
+            a0, a1 = block + np.uint64(j - rows[0]) * lanes, block + np.uint64(r1 - rows[0]) * lanes
+            a2, a3 = block + np.uint64(r2 - rows[0]) * lanes, block + np.uint64(r3 - rows[0]) * lanes
             if signs == 1:
-                low = _weighted(low, weights, (zero, e3), features, start + n, step)
+                s0, s1, s2, s3 = _weighted((s0, s1, s2, s3), weights, (zero, e3), features, starts)
             else:
-                even = _weighted(low, weights, (zero, e0), features, start + n, step)
-                odd_x = _weighted(zeros, weights, (e0, e1), features, start + n, step)
-                odd_y = _weighted(zeros, weights, (e1, e2), features, start + n, step)
-                odd = _weighted(zeros, weights, (e2, e3), features, start + n, step)
-                b0, b1 = plus(plus(even, odd_x), plus(odd_y, odd)), plus(minus(even, odd_x), minus(odd_y, odd))
-                b2, b3 = minus(plus(even, odd_x), plus(odd_y, odd)), minus(minus(even, odd_x), minus(odd_y, odd))
-                at, plane = row + n, np.uint64(all_[0].size)
-                put_eight(all_, at, b0)
-                put_eight(all_, at + plane, b1)
-                put_eight(all_, at + plane + plane, b2)
-                put_eight(all_, at + plane + plane + plane, b3)
-                low = lesser(lesser(b0, b1), lesser(b2, b3))
-            put_eight(least, row + n, low)
-            put_eight(lowest, n, lesser(low, eight_at(lowest, n)))
+                s0, s1, s2, s3 = _weighted((s0, s1, s2, s3), weights, (zero, e0), features, starts)
+                x0, x1, x2, x3 = _weighted((zeros, zeros, zeros, zeros), weights, (e0, e1), features, starts)
+                y0, y1, y2, y3 = _weighted((zeros, zeros, zeros, zeros), weights, (e1, e2), features, starts)
+                b0, b1, b2, b3 = _weighted((zeros, zeros, zeros, zeros), weights, (e2, e3), features, starts)
+                s0, s1 = _put_signs(s0, x0, y0, b0, all_, a0, plane), _put_signs(s1, x1, y1, b1, all_, a1, plane)
+                s2, s3 = _put_signs(s2, x2, y2, b2, all_, a2, plane), _put_signs(s3, x3, y3, b3, all_, a3, plane)
+            put_eight(least, a0, s0)
+            put_eight(least, a1, s1)
+            put_eight(least, a2, s2)
+            put_eight(least, a3, s3)
+            low = lesser(lesser(low, lesser(s0, s1)), lesser(s2, s3))
+        put_eight(lowest, np.uint64(b) * lanes, low)
 
 
 @njit(cache=True)
@@ -257,6 +366,14 @@ def _bucket_rows(y, window):
 
 
 @njit(cache=True)
+def _far(along, size, raster, window):
+    """What an offset along an axis, mm, adds to bounds of a tile with so many values, by its distance term at least."""
+    # q / (1 - q) / m^2 is the distance term, with q of x and y; q + q^2 is less, and that of each apart less again
+    q, m2 = (along / (2.0 * window.half)) ** 2, (2.0 * window.half / window.step) ** 2
+    return np.int32(min((q + q * q) * size / m2 * raster.basis.steps**2, _FAR))
+
+
+@njit(cache=True)
 def _patches_of(f, tiles, raster, window):
     """The patches of facet f in a raster."""
     centre, half, pixels = (tiles.centres[f, 0], tiles.centres[f, 1]), 0.5 * tiles.pitch, tiles.values.shape[2]
@@ -265,14 +382,17 @@ def _patches_of(f, tiles, raster, window):
     mid_x, mid_y = 0.5 * (reach_x - raster.count_x + 1), 0.5 * (reach_y - raster.count_y + 1)
     x0, n_x = _span(centre[0], window, raster.spacing_x, mid_x, raster.count_x - 1 - reach_x, sx)
     y0, n_y = _span(centre[1], window, raster.spacing_y, mid_y, raster.count_y - 1 - reach_y, sy)
-    n_x, n_y = max(n_x, 0), max(n_y, 0)
-    x, y, x2 = np.empty(n_x), np.empty(n_y), np.zeros((n_x + EIGHT - 1) // EIGHT * EIGHT, np.float32)
-    for n in range(n_x):
-        x[n] = ((x0 + n) * sx + mid_x) * raster.spacing_x - centre[0]
-        x2[n] = (x[n] / (2.0 * window.half)) ** 2
+    n_x, n_y, beside = max(n_x, 0), max(n_y, 0), x0 % EIGHT
+    columns, size = (beside + n_x + EIGHT - 1) // EIGHT * EIGHT, tiles.values[f].size
+    x, y, far_x, far_y = np.zeros(columns), np.empty(n_y), np.full(columns, _NEVER, np.int32), np.empty(n_y, np.int32)
+    for n in range(beside, beside + n_x):
+        x[n] = ((x0 - beside + n) * sx + mid_x) * raster.spacing_x - centre[0]
+        far_x[n] = _far(x[n], size, raster, window)
     for j in range(n_y):
         y[j] = ((y0 + j) * sy + mid_y) * raster.spacing_y - centre[1]
-    return _Patches(centre, half, (x0, y0), _bucket_rows(x, window), _bucket_rows(y, window), x, y, x2)
+        far_y[j] = _far(y[j], size, raster, window)
+    edges = _bucket_rows(x[beside : beside + n_x], window) + beside
+    return _Patches(centre, half, (x0 - beside, y0), edges, _bucket_rows(y, window), x, y, far_x, far_y)
 
 
 @njit(cache=True)
@@ -303,59 +423,149 @@ def _takes(bucket, error, place, patches, raster, rule):
     return True
 
 
+@njit(cache=True, forceinline=True)
+def _highest_bound(limit, tile, basis):
+    """The highest bound, int32, that a sum of squared differences below a limit can have."""
+    # sums of float32 are a little wrong themselves
+    apart = math.sqrt(limit * (1.0 + _ULP * tile.size)) * basis.steps + math.sqrt(len(basis.vectors) + 1.0)
+    return np.int32(min(apart * apart + 1.0, _NEVER - 1.0))
+
+
+@njit(cache=True, forceinline=True)
+def _promise(k, columns, worst, rows, count, bounds):
+    """Write down the places in a bucket whose bounds are not above the worst; return how many there are then.
+
+    Args:
+        k: the bucket.
+        columns: its first and its end.
+        worst: of the bounds, int32.
+        rows: how many the band has.
+        count: how many places are written down already.
+        bounds: those of the band, and where to write.
+    """
+    least, lowest, places = bounds.least, bounds.lowest, bounds.places
+    many, one, lanes = np.uint64(count), np.uint64(1), np.uint64(EIGHT)
+    for b in range(columns[0] // EIGHT, (columns[1] + EIGHT - 1) // EIGHT):
+        inside = (1 << min(columns[1] - b * EIGHT, EIGHT)) - (1 << max(columns[0] - b * EIGHT, 0))
+        if not at_most(eight_at(lowest, np.uint64(b) * lanes), worst) & inside:
+            continue
+        at, place = np.uint64(b * bounds.tall) * lanes, _place(k, 0, 0, b * EIGHT)
+        for _ in range(rows):
+            hits = at_most(eight_at(least, at), worst) & inside
+            while hits:
+                places[many] = place + lowest_bit(hits)
+                many += one
+                hits &= hits - 1
+            at += lanes
+            place += _ROW
+    return _with_signs(count, np.int64(many), worst, bounds) if bounds.signs > 1 else np.int64(many)
+
+
 @njit(cache=True)
-def _search_buckets(buckets, band, seen, bounds, best, rule):
-    """Compare the offsets of some buckets whose bounds are below the best so far, beginning with the least bound.
+def _with_signs(first, end, worst, bounds):
+    """Write down places from the first to the end again, with each sign whose bound is not above the worst."""
+    places, count, begin = bounds.places, first, len(bounds.places) - (end - first)
+    places[begin:] = places[first:end]
+    for at in range(begin, len(places)):
+        k, _, row, column = _taken_apart(places[at])
+        for sign in range(bounds.signs):
+            bound = (
+                (sign * len(bounds.lowest) // EIGHT + column // EIGHT) * bounds.tall + row
+            ) * EIGHT + column % EIGHT
+            if bounds.all[bound] <= worst:
+                places[count] = _place(k, sign, row, column)
+                count += 1
+    return count
+
+
+@njit(cache=True, forceinline=True)
+def _promise_likeliest(k, columns, worst, rows, count, bounds):
+    """Write down the place of the least bound of a bucket, with each sign whose bound is not above the worst.
+
+    These bounds become _NEVER. Arguments and result: see ``_promise``.
+    """
+    all_, least, lowest = bounds.all, bounds.least, bounds.lowest
+    first_column = first_row = np.int64(_NEVER * _ROW)
+    for n in range(columns[0], columns[1]):
+        first_column = min(first_column, np.int64(lowest[np.uint64(n)]) * _ROW + n)
+    low, column = first_column >> 20, first_column & _MASK
+    if low > worst:
+        return count
+    at = np.uint64(column // EIGHT * bounds.tall * EIGHT + column % EIGHT)
+    for j in range(rows):
+        first_row = min(first_row, np.int64(least[at + np.uint64(j * EIGHT)]) * _ROW + j)
+    row = first_row & _MASK
+    for sign in range(bounds.signs):
+        bound = at + np.uint64(row * EIGHT + sign * least.size)
+        if all_[bound] <= worst:
+            all_[bound] = _NEVER
+            bounds.places[count] = _place(k, sign, row, column)
+            count += 1
+    return count
+
+
+@njit(cache=True, forceinline=True)
+def _compare(count, rows, seen, bounds, best, rule):
+    """Compare the tile with the patches of some places, and keep the best of each bucket.
+
+    Args:
+        count: how many places there are.
+        rows: first and end of the band of rows of offsets.
+        seen: the facet's patches and tile, the raster, and its ``_Samples``.
+        bounds: where the places are.
+        best: (buckets,) least sums, and (buckets, 4) sign, row, column, and whether equals from the left replace it;
+            updated in place.
+        rule: the window, the optics, whether better offsets are left out that refraction does not allow, and whether
+            equals from the left replace what is found.
+    """
+    (patches, tile, raster, samples), (window, optics, careful, later), (sums, found) = seen, rule, best
+    size, first, places, apart = (
+        np.float32(tile.size),
+        (patches.first[0], patches.first[1] + rows[0]),
+        bounds.places,
+        bounds.sums,
+    )
+    for at in range(count, count + 3):
+        places[at] = places[0]
+    for at in range(np.uint64(0), np.uint64(count), np.uint64(4)):
+        apart[at], apart[at + 1], apart[at + 2], apart[at + 3] = _four_sums(tile, places, at, samples, first)
+    for at in range(np.uint64(0), np.uint64(count), np.uint64(1)):
+        k, sign, row, n = _taken_apart(places[at])
+        x, y = patches.x[np.uint64(n)], patches.y[np.uint64(rows[0] + row)]
+        sum_ = apart[at] + np.float32(distance_term(x, y, window)) * size
+        if sum_ < sums[k] or (sum_ == sums[k] and later and found[k, 3] and n < found[k, 2]):
+            if careful and not reachable(patches.centre, (x, y), _map_of(sign, raster), patches.half, optics):
+                continue
+            sums[k] = sum_
+            found[k, 0], found[k, 1], found[k, 2], found[k, 3] = sign, rows[0] + row, n, later
+
+
+@njit(cache=True, forceinline=True)
+def _search_buckets(buckets, rows, seen, bounds, best, rule):
+    """Compare the offsets of some buckets whose bounds allow them to be best, beginning with the least bound of each.
 
     Args:
         buckets: first and end of them, in a row.
-        band: first and end of the rows of offsets.
+        rows: first and end of the band of rows of offsets.
         seen: the facet's patches and tile, the raster, and its ``_Samples``.
-        bounds: those of the band; of what has been compared they become infinite.
-        best: (buckets,) least sums, and (buckets, 3) sign, row and place in the row; updated in place.
+        bounds: those of the band; of what has been compared they become _NEVER.
+        best: see ``_compare``.
         rule: the window, the optics, and whether better offsets are left out here that refraction does not allow.
     """
-    # tuples are taken apart here: each time that costs as much as comparing a tile with some patches
-    (patches, tile, raster, samples), (window, optics, careful), (sums, places) = seen, rule, best
-    (x, y), edges, (x0, y0) = (patches.x, patches.y), patches.edges, patches.first
-    (values, strips, half), pixels, (_, skip, height, width) = samples, tile.strips, raster.samples.shape
-    lowest, least, all_, signs = bounds.lowest, bounds.least, bounds.all, len(pixels)
-    size, slack = np.float32(pixels[0].size), np.float32(1.0) + _ULP * np.float32(pixels[0].size)
-    for k in range(buckets[0], buckets[1]):
-        likeliest, limit = edges[k], sums[k]
-        for n in range(edges[k] + 1, edges[k + 1]):
-            likeliest = n if lowest[n] < lowest[likeliest] else likeliest
-        if edges[k] == edges[k + 1] or not lowest[likeliest] < limit * slack:
-            continue
-        # first the least bound alone, then all places from left to right
-        for turn in range(edges[k] - 1, edges[k + 1]):
-            alone = turn < edges[k]
-            n = likeliest if alone else turn
-            worst = lowest[n] if alone else limit * slack
-            for j in range(band[1] - band[0] if lowest[n] <= worst else 0):
-                if least[j, n] > worst:
-                    continue
-                least[j, n] = np.inf
-                at_x, at_y, row = (x0 + n) * raster.stride_x, (y0 + band[0] + j) * raster.stride_y, band[0] + j
-                start = np.uint64((at_x % skip * height + at_y) * width + at_x // skip)
-                far = np.float32(distance_term(x[n], y[row], window)) * size
-                for sign in range(signs):
-                    if signs > 1 and not all_[sign, j, n] < limit * slack:
-                        continue
-                    begin = np.uint64(sign) * np.uint64(pixels.shape[1])
-                    sum_ = _difference(pixels, begin, values, strips, half, start, limit - far) + far
-                    if sum_ < limit:
-                        if careful and not reachable(
-                            patches.centre, (x[n], y[row]), _map_of(sign, raster), patches.half, optics
-                        ):
-                            continue
-                        limit = sum_
-                        places[k, 0], places[k, 1], places[k, 2] = sign, row, n
-                worst = worst if alone else limit * slack
-        sums[k] = limit
+    (patches, tile, raster, _), (window, optics, careful) = seen, rule
+    for rest in (False, True):
+        count = 0
+        for k in range(buckets[0], buckets[1]):
+            worst, columns = _highest_bound(best[0][k], tile, raster.basis), (patches.edges[k], patches.edges[k + 1])
+            if rest:
+                count = _promise(k, columns, worst, rows[1] - rows[0], count, bounds)
+            else:
+                count = _promise_likeliest(k, columns, worst, rows[1] - rows[0], count, bounds)
+        if count:
+            _compare(count, rows, seen, bounds, best, (window, optics, careful, rest))
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def _search_band(bucket, rows, seen, features, bounds, rule):
     """Search a row of buckets; refraction is asked only of what is best.
 
@@ -365,33 +575,42 @@ def _search_band(bucket, rows, seen, features, bounds, rule):
         features: of the raster, flat.
         rule: window, optics, and the best of each bucket so far, which is updated in place.
     """
+    seen, bounds = uncounted(seen), uncounted(bounds)
     (patches, tile, raster, _), (window, optics, found), (f, first) = seen, rule, bucket
-    size, buckets = np.float32(tile.strips[0].size), window.buckets
-    sums, places = found.errors[f, first : first + buckets] * size, np.full((buckets, 3), -1)
-    _bound_band(rows, patches, tile, raster, features, window, bounds)
-    _search_buckets((np.int64(0), buckets), rows, seen, bounds, (sums, places), (window, optics, buckets < 0))
-    for k in range(buckets):
-        if places[k, 0] >= 0 and not _takes((f, first + k), sums[k] / size, places[k], patches, raster, rule):
-            sums[k], places[k, 0] = found.errors[f, first + k] * size, -1
-            _bound_band(rows, patches, tile, raster, features, window, bounds)
-            _search_buckets((k, k + 1), rows, seen, bounds, (sums, places), (window, optics, buckets > 0))
-            if places[k, 0] >= 0:
-                _takes((f, first + k), sums[k] / size, places[k], patches, raster, rule)
+    size, buckets = np.float32(tile.size), window.buckets
+    sums, places = found.errors[f, first : first + buckets] * size, np.full((buckets, 4), -1)
+    refused = np.zeros(buckets, np.bool_)
+    # all at once, and then those again, one by one, of which refraction does not allow the best
+    for turn in range(-1, buckets):
+        if turn >= 0 and not refused[turn]:
+            continue
+        span = (0, buckets) if turn < 0 else (turn, turn + 1)
+        _bound_band(rows, patches, tile, raster, features, bounds)
+        _search_buckets(span, rows, seen, bounds, (sums, places), (window, optics, turn >= 0))
+        for k in range(span[0], span[1]):
+            if places[k, 0] >= 0 and not _takes((f, first + k), sums[k] / size, places[k], patches, raster, rule):
+                refused[k], sums[k], places[k, 0] = True, found.errors[f, first + k] * size, -1
 
 
 @njit(cache=True)
 def _search_facet(f, tiles, raster, samples, features, rule, mirrored):
     """Try every offset of a raster for facet f, see ``search``; features: those of the raster, flat."""
+    tiles, raster, samples = uncounted(tiles), uncounted(raster), uncounted(samples)
+    features, rule = uncounted(features), uncounted(rule)
     window = rule[0]
     patches = _patches_of(f, tiles, raster, window)
     if not (len(patches.x) and len(patches.y)):
         return
     tile = _describe(tiles.values[f], 4 if mirrored else 1, raster.basis)
-    tallest, width = 0, len(patches.x2)
+    tallest, blocks = 0, len(patches.far_x) // EIGHT
     for down in range(window.buckets):
         tallest = max(tallest, patches.rows[down + 1] - patches.rows[down])
-    all_ = np.empty((len(tile.strips), tallest, width), np.float32)
-    bounds = _Bounds(all_, np.empty((tallest, width), np.float32), np.empty(width, np.float32))
+    size = blocks * tallest * EIGHT
+    all_, places = np.empty(tile.signs * size, np.int32), np.empty((tile.signs + mirrored) * size + 4, np.int64)
+    least = np.empty(size, np.int32) if mirrored else all_
+    bounds = _Bounds(
+        tile.signs, all_, least, np.empty(blocks * EIGHT, np.int32), tallest, places, np.empty(len(places), np.float32)
+    )
     for down in range(window.buckets):
         rows = (patches.rows[down], patches.rows[down + 1])
         _search_band((f, down * window.buckets), rows, (patches, tile, raster, samples), features, bounds, rule)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,12 @@ GREY = np.float32(0.5)
 """Display value from which others are counted, so that sums of squares, and what rounding makes of them, stay small."""
 _MOST, _LEAST, _PER_CHANNEL = 24, 8, 2
 """Vectors of a basis: at most, at least, and for each channel beyond two."""
+_BEFORE = 3
+"""Numbers before the first coordinate."""
+FARTHEST = 16000.0
+"""Steps from the middle of all values to the farthest: twice that is an int16, and the square of that an int32."""
+LOW_BITS = 14
+"""Bits of the lower of the two numbers for the sum of squares."""
 _LOOKED_AT = 32
 """Patches along each side of a raster from which it is learnt where tiles differ most."""
 
@@ -21,18 +28,25 @@ class Basis(NamedTuple):
 
     A mirrored tile has the same coordinates but for signs. Vectors that share their signs follow each other.
 
+    What is known of a tile or patch is a row of int16, taken two by two: the upper and lower LOW_BITS of the sum of the
+    squares of the others, the norm of what the vectors leave out, and the coordinates along them, in steps.
+
     Args:
         mixtures: (C, C) float64, a mixture of channels in each row.
         waves: (P, P) float64, a cosine in each row, of the type II transform.
         vectors: (n, 3): of each vector which mixture it is, which wave along y, and which along x.
-        ends: (4,) the end, in a row of ``patch_features``, of those of vectors whose sign no mirroring changes, only
-            that along x does, only that along y does, and both do.
+        places: (n,) of each vector's coordinate among these numbers.
+        ends: (4,) the end, in pairs, of those whose sign no mirroring changes, only that along x does, only that along
+            y does, and both do.
+        steps: in a unit of display values.
     """
 
     mixtures: FloatArray
     waves: FloatArray
     vectors: IntArray
+    places: IntArray
     ends: IntArray
+    steps: float
 
 
 def _cosines(pixels: int) -> FloatArray:
@@ -69,5 +83,10 @@ def choose_basis(samples: FloatArray, skip_y: int, pixels: int) -> Basis:
     vectors = np.stack(np.unravel_index(best, energies.shape), axis=1)
     signs = vectors[:, 1] % 2 * 2 + vectors[:, 2] % 2
     order = np.argsort(signs, kind="stable")
-    ends = np.searchsorted(signs[order], np.arange(4), side="right") + 2
-    return Basis(np.ascontiguousarray(mixtures), waves, np.ascontiguousarray(vectors[order]), ends)
+    of_sign = np.bincount(signs, minlength=4)
+    of_sign[0] += _BEFORE
+    ends = np.cumsum(-(-of_sign // 2))
+    begins = 2 * np.concatenate([[0], ends[:-1]])
+    places = np.concatenate([begin + np.arange(many) for begin, many in zip(begins, of_sign, strict=True)])[_BEFORE:]
+    steps = FARTHEST / (float(GREY) * math.sqrt(channels * pixels * pixels))
+    return Basis(np.ascontiguousarray(mixtures), waves, np.ascontiguousarray(vectors[order]), places, ends, steps)

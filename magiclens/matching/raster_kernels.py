@@ -10,7 +10,10 @@ from magiclens.contract.artifacts import FloatArray, IntArray
 from magiclens.kernels.compiler import njit
 from magiclens.kernels.eights import EIGHT
 from magiclens.kernels.threads import in_threads
-from magiclens.matching.features import GREY, Basis
+from magiclens.matching.features import FARTHEST, GREY, LOW_BITS, Basis
+
+_TALL, _WIDE = 16, 128
+"""Patches along y and x whose features are computed together, so that what they need stays at hand."""
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -86,78 +89,129 @@ def display_rows(
 
 
 @njit(cache=True, fastmath={"contract", "reassoc"})
-def _add_up(weights, k, lines, step, out):
-    """``out[n] = sum over m of weights[k, m] * lines[m * step + n]``."""
-    terms, count = weights.shape[1], np.uint64(len(out))
-    fours = terms - terms % 4
+def _add_up(weights, lines, start, step, out):
+    """``out[n] = sum over m of weights[m] * lines[start + m * step + n]``."""
+    terms, count, a = len(weights), np.uint64(len(out)), np.uint64(start)
     for n in range(count):
         out[n] = 0.0
-    for m in range(0, fours, 4):
-        w0, w1, w2, w3 = weights[k, m], weights[k, m + 1], weights[k, m + 2], weights[k, m + 3]
-        a0, a1 = np.uint64(m * step), np.uint64((m + 1) * step)
-        a2, a3 = np.uint64((m + 2) * step), np.uint64((m + 3) * step)
+    for m in range(0, terms - terms % 4, 4):
+        w0, w1, w2, w3 = weights[m], weights[m + 1], weights[m + 2], weights[m + 3]
+        a0, a1, a2, a3 = a, a + np.uint64(step), a + np.uint64(2 * step), a + np.uint64(3 * step)
         for n in range(count):
             out[n] += (w0 * lines[a0 + n] + w1 * lines[a1 + n]) + (w2 * lines[a2 + n] + w3 * lines[a3 + n])
-    for m in range(fours, terms):
-        w, a = weights[k, m], np.uint64(m * step)
+        a += np.uint64(4 * step)
+    for m in range(terms - terms % 4, terms):
         for n in range(count):
-            out[n] += w * lines[a + n]
+            out[n] += weights[m] * lines[a + n]
+        a += np.uint64(step)
+
+
+@njit(cache=True, fastmath={"contract", "reassoc"})
+def _mix(samples, origin, basis, mixed, squares):
+    """Mixtures of channels (C, rows, columns) of a rectangle of samples, and the sums of their squares.
+
+    Args:
+        samples: (C, skip, Y, X), see ``display_rows``.
+        origin: phase, row and column of the first; what lies beyond the samples is 0.
+        basis: says which mixtures are wanted.
+        mixed, squares: to fill in.
+    """
+    channels, _, height, width = samples.shape
+    (phase, top, left), (rows, columns) = origin, squares.shape
+    values, inside, one = np.zeros((channels, columns)), min(columns, width - left), np.int64(1)
+    wanted, zero = np.zeros(channels, np.bool_), np.int64(0)
+    for m in range(len(basis.vectors)):
+        wanted[basis.vectors[m, 0]] = True
+    for y in range(min(rows, height - top)):
+        for c in range(channels):
+            for n in range(inside):
+                values[c, n] = np.float64(samples[c, phase, top + y, left + n] - GREY)
+            for n in range(columns):
+                squares[y, n] = values[c, n] * values[c, n] + (squares[y, n] if c else 0.0)
+        for m in range(channels):
+            if wanted[m]:
+                _add_up(basis.mixtures[m], values.reshape(-1), zero, columns * one, mixed[m, y])
 
 
 @njit(cache=True)
-def kept_of_energy(vectors):
-    """What is left of sums of squares, so that rounding never makes a bound larger than a difference."""
-    return 1.0 - 2.0**-23 * (vectors + 8)
+def in_steps(value, basis):
+    """A coordinate in steps, of which none is farther than the farthest from 0."""
+    return np.int32(min(max(np.rint(value * basis.steps), -FARTHEST), FARTHEST))
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
-def _features_part(part, samples, skip_y, places, basis, features):
-    """Part of the rows of features, see ``patch_features``; places: where they begin, along y and in a flat line."""
-    channels, skip, _, width = samples.shape
-    pixels, (at_y, at_x), line = len(basis.waves), places, skip * width
-    zero, one = np.int64(0), np.int64(1)  # numba would compile a function apart for literals
-    # waves along y of all rows of a patch, mixtures of channels, waves along x: one after the other
-    rows, waved = np.empty((pixels, line)), np.empty((pixels, channels, line))
-    mixed, out, squares = np.empty(line + pixels), np.empty(line), np.empty(line + pixels)
-    left, ones, kept = np.empty(len(at_x)), np.ones((1, pixels)), kept_of_energy(len(basis.vectors))
-    mixed[:], squares[:] = 0.0, 0.0
-    needed = np.zeros((pixels, channels), np.bool_)
-    for m in range(len(basis.vectors)):
-        needed[basis.vectors[m, 1], basis.vectors[m, 0]] = True
-    for j in range(part.first, part.end):
-        squares[:] = 0.0
-        for c in range(channels):
-            for k in range(pixels):
-                for phase in range(skip):
-                    for n in range(width):
-                        value = np.float64(samples[c, phase, at_y[j] + k * skip_y, n] - GREY)
-                        rows[k, phase * width + n] = value
-                        squares[phase * width + n] += value * value
-            for wave in range(pixels):
-                if needed[wave].any():
-                    _add_up(basis.waves, wave, rows.reshape(-1), line, waved[wave, c])
-        _add_up(ones, zero, squares, one, out)
-        for i in range(len(at_x)):
-            left[i] = out[at_x[i]]
-            features[j, 0, i] = left[i] * kept
-        for wave in range(pixels):
-            for mixture in range(channels):
-                if needed[wave, mixture]:
-                    _add_up(basis.mixtures, mixture, waved[wave].reshape(-1), line, mixed[:line])
-                for m in range(len(basis.vectors)):
-                    if basis.vectors[m, 0] == mixture and basis.vectors[m, 1] == wave:
-                        _add_up(basis.waves, basis.vectors[m, 2], mixed, one, out)
-                        for i in range(len(at_x)):
-                            value = out[at_x[i]]
-                            features[j, m + 2, i] = value
-                            left[i] -= value * value
-        for i in range(len(at_x)):
-            features[j, 1, i] = math.sqrt(max(left[i], 0.0))
+@njit(cache=True, fastmath={"contract", "reassoc"})
+def _coordinates(mixed, squares, row, skip_y, basis, lines, numbers):
+    """What is known of the patches that begin at a row of ``_mix``.
+
+    Args:
+        mixed, squares: see ``_mix``.
+        row: of these.
+        skip_y: samples between two neighbouring pixels of a patch along y.
+        basis: of the patches.
+        lines: (3, columns of ``mixed``) float64, to compute with.
+        numbers: (numbers, columns) int16: see ``Basis``, to fill in.
+    """
+    columns, one, zero = numbers.shape[1], np.int64(1), np.int64(0)
+    start, step = row * mixed.shape[2], skip_y * mixed.shape[2]
+    waved, left, out = lines[0], lines[1, :columns], lines[2, :columns]
+    ones, energies = np.ones(len(basis.waves)), np.zeros(columns, np.int32)
+    _add_up(ones, squares.reshape(-1), start, step, waved)
+    _add_up(ones, waved, zero, one, left)
+    for mixture in range(len(mixed)):
+        for wave in range(len(basis.waves)):
+            ready = False
+            for m in range(len(basis.vectors)):
+                if basis.vectors[m, 0] == mixture and basis.vectors[m, 1] == wave:
+                    if not ready:
+                        _add_up(basis.waves[wave], mixed[mixture].reshape(-1), start, step, waved)
+                        ready = True
+                    _add_up(basis.waves[basis.vectors[m, 2]], waved, zero, one, out)
+                    _put(out, basis, numbers[basis.places[m]], energies)
+                    for n in range(columns):
+                        left[n] -= out[n] * out[n]
+    for n in range(columns):
+        out[n] = math.sqrt(max(left[n], 0.0))
+    _put(out, basis, numbers[2], energies)
+    for n in range(columns):
+        numbers[0, n], numbers[1, n] = energies[n] >> LOW_BITS, energies[n] & ((1 << LOW_BITS) - 1)
+
+
+@njit(cache=True)
+def _put(values, basis, numbers, energies):
+    """Values in steps, and their squares added to energies."""
+    for n in range(len(values)):
+        number = in_steps(values[n], basis)
+        numbers[n] = number
+        energies[n] += number * number
+
+
+@njit(cache=True, nogil=True)
+def _features_part(part, samples, skip_y, strides, basis, features):
+    """Part of the bands of _TALL rows of patches, see ``patch_features``; each rectangle of samples stays at hand."""
+    (channels, skip, _, width), (stride_y, stride_x), pixels = samples.shape, strides, len(basis.waves)
+    _, rows, pairs, _, _ = features.shape
+    reach, along = (pixels - 1) * skip_y, (width - pixels + 1) * skip
+    tall, wide = (_TALL - 1) * stride_y + reach + 1, _WIDE + pixels
+    mixed, squares = np.zeros((channels, tall, wide)), np.zeros((tall, wide))
+    lines, numbers = np.zeros((3, wide)), np.zeros((2 * pairs, _WIDE), np.int16)
+    for band in range(part.first, part.end):
+        for phase in range(skip):
+            for left in range(0, width - pixels + 1, _WIDE):
+                _mix(samples, (phase, band * _TALL * stride_y, left), basis, mixed, squares)
+                for j in range(band * _TALL, min((band + 1) * _TALL, rows)):
+                    _coordinates(mixed, squares, (j - band * _TALL) * stride_y, skip_y, basis, lines, numbers)
+                    for n in range(_WIDE):
+                        x = (left + n) * skip + phase
+                        i = x // stride_x
+                        if x < along and i * stride_x == x:
+                            for k in range(pairs):
+                                features[i // EIGHT, j, k, i % EIGHT, 0] = numbers[2 * k, n]
+                                features[i // EIGHT, j, k, i % EIGHT, 1] = numbers[2 * k + 1, n]
 
 
 def patch_features(
     samples: FloatArray, skip_y: int, strides: tuple[int, int], basis: Basis, rows: range | None = None
-) -> FloatArray:
+) -> IntArray:
     """What bounds know of the patches that begin at every so many samples.
 
     Args:
@@ -168,16 +222,18 @@ def patch_features(
         rows: of samples; patches that leave them are not wanted. All by default.
 
     Returns:
-        (Y / sy, n + 2, X / sx) float32, without the places where a patch would leave the raster; 0 for patches that are
-        not wanted. Of a patch's values, less GREY: the sum of squares, see ``kept_of_energy``, its coordinates along
-        the vectors, after the norm of what these leave out. The last EIGHT columns are there to be read with others.
+        (X / sx / EIGHT, Y / sy, pairs, EIGHT, 2) int16: the numbers of patches, see ``Basis``, EIGHT by EIGHT, without
+        the places where a patch would leave the raster. Those of patches that are not wanted, and of the last EIGHT
+        beyond the raster, have no meaning.
     """
     _, skip, height, width = samples.shape
     pixels, reach = len(basis.waves), (len(basis.waves) - 1) * skip_y
-    y = np.arange(0, max(height - reach, 0), strides[0])
+    y = range(0, max(height - reach, 0), strides[0])
+    x = range(0, max((width - pixels + 1) * skip, 0), strides[1])
     rows = rows or range(height)
-    wanted = range(-(-rows.start // strides[0]), max(rows.stop - reach - 1, -1) // strides[0] + 1)
-    x = np.arange(0, max((width - pixels + 1) * skip, 0), strides[1])
-    features = np.zeros((len(y), len(basis.vectors) + 2, len(x) + EIGHT), np.float32)
-    in_threads(_features_part, wanted, samples, skip_y, (y, x % skip * width + x // skip), basis, features)
+    bands = range(rows.start // strides[0] // _TALL, max(rows.stop - reach - 1, -1) // strides[0] // _TALL + 1)
+    shape = -(-len(x) // EIGHT), len(y), int(basis.ends[-1]), EIGHT, 2
+    room = np.zeros(math.prod(shape) + 32, np.int16)
+    features = room[-room.ctypes.data % 64 // 2 :][: math.prod(shape)].reshape(shape)
+    in_threads(_features_part, bands, samples, skip_y, strides, basis, features)
     return features

@@ -55,7 +55,7 @@ class Raster(NamedTuple):
     Args:
         samples: (C, skip_x, Y, X) float32 display values, see ``build_raster``.
         basis: what bounds know of a tile or patch.
-        features: (n + 2, Y, X) float32: that of the patches, see ``patch_features``.
+        features: of the patches, EIGHT by EIGHT, see ``patch_features``.
         scale_x, scale_y: magnitudes of the map.
         spacing_x, spacing_y: distance between neighbouring samples, mm.
         count_x, count_y: how many samples there are.
@@ -65,7 +65,7 @@ class Raster(NamedTuple):
 
     samples: FloatArray
     basis: Basis
-    features: FloatArray
+    features: IntArray
     scale_x: float
     scale_y: float
     spacing_x: float
@@ -119,7 +119,7 @@ def footprints(axis: RasterAxis, width_mm: float, size_mm: float, pixels: int) -
 def build_raster(
     columns: FloatArray, first: IntArray, weights: FloatArray, x: RasterAxis, y: RasterAxis, pixels: int,
     rows: range | None = None,
-) -> tuple[FloatArray, Basis, FloatArray]:  # fmt: skip
+) -> tuple[FloatArray, Basis, IntArray]:  # fmt: skip
     """Average columns over their footprints along y, too, and lay the samples out for the search.
 
     Sample (r_y, r_x) of the plain raster sits at [:, r_x % skip, r_y, r_x // skip], with the skip along x, so that the
