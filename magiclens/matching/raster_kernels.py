@@ -10,6 +10,7 @@ from magiclens.contract.artifacts import FloatArray, IntArray
 from magiclens.kernels.compiler import njit
 from magiclens.kernels.eights import EIGHT
 from magiclens.kernels.threads import in_threads
+from magiclens.kernels.uncounted import uncounted
 from magiclens.matching.features import FARTHEST, GREY, LOW_BITS, Basis
 
 _TALL, _WIDE = 16, 128
@@ -185,28 +186,51 @@ def _put(values, basis, numbers, energies):
         energies[n] += number * number
 
 
+@njit(cache=True)
+def _lay_out(numbers, places, left, row, features):
+    """Copy what is known of patches to where the search reads it.
+
+    Args:
+        numbers: (numbers, columns) int16, of samples.
+        places: (patches, 2) which of these the patches begin at, counted from further left, and which patches they are.
+        left: how much further left.
+        row: of patches.
+        features: to fill in.
+    """
+    flat, (_, rows, pairs, _, _) = features.reshape(-1), features.shape
+    lanes, one = np.uint64(2 * EIGHT), np.uint64(1)
+    for p in range(len(places)):
+        n, i = np.uint64(places[p, 0] - left), places[p, 1]
+        at = np.uint64(((i // EIGHT * rows + row) * pairs * EIGHT + i % EIGHT) * 2)
+        for k in range(np.uint64(0), np.uint64(2 * pairs), np.uint64(2)):
+            flat[at], flat[at + one] = numbers[k, n], numbers[k + one, n]
+            at += lanes
+
+
 @njit(cache=True, nogil=True)
 def _features_part(part, samples, skip_y, strides, basis, features):
     """Part of the bands of _TALL rows of patches, see ``patch_features``; each rectangle of samples stays at hand."""
     (channels, skip, _, width), (stride_y, stride_x), pixels = samples.shape, strides, len(basis.waves)
+    samples, basis, features = uncounted(samples), uncounted(basis), uncounted(features)
     _, rows, pairs, _, _ = features.shape
-    reach, along = (pixels - 1) * skip_y, (width - pixels + 1) * skip
-    tall, wide = (_TALL - 1) * stride_y + reach + 1, _WIDE + pixels
+    tall, wide = (_TALL - 1) * stride_y + (pixels - 1) * skip_y + 1, _WIDE + pixels
     mixed, squares = np.zeros((channels, tall, wide)), np.zeros((tall, wide))
     lines, numbers = np.zeros((3, wide)), np.zeros((2 * pairs, _WIDE), np.int16)
+    places = np.empty((_WIDE, 2), np.int64)
     for band in range(part.first, part.end):
         for phase in range(skip):
             for left in range(0, width - pixels + 1, _WIDE):
+                count, end = 0, min(left + _WIDE, width - pixels + 1)
+                for i in range((left * skip + phase + stride_x - 1) // stride_x, (end * skip - 1) // stride_x + 1):
+                    if i * stride_x % skip == phase:
+                        places[count, 0], places[count, 1] = i * stride_x // skip, i
+                        count += 1
+                if count == 0:
+                    continue
                 _mix(samples, (phase, band * _TALL * stride_y, left), basis, mixed, squares)
                 for j in range(band * _TALL, min((band + 1) * _TALL, rows)):
                     _coordinates(mixed, squares, (j - band * _TALL) * stride_y, skip_y, basis, lines, numbers)
-                    for n in range(_WIDE):
-                        x = (left + n) * skip + phase
-                        i = x // stride_x
-                        if x < along and i * stride_x == x:
-                            for k in range(pairs):
-                                features[i // EIGHT, j, k, i % EIGHT, 0] = numbers[2 * k, n]
-                                features[i // EIGHT, j, k, i % EIGHT, 1] = numbers[2 * k + 1, n]
+                    _lay_out(numbers, places[:count], left, j, features)
 
 
 def patch_features(
