@@ -80,6 +80,8 @@ def _options_of_all_commands(
 def main() -> None:
     """Run the command line; the entry point of the console script ``mlens``."""
     gc.set_threshold(_GARBAGE)
+    # numba words an error for every function that does not fit a call's types, and would colour it
+    os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
     try:
         app()
     finally:

@@ -25,6 +25,8 @@ from numba.core.sigutils import normalize_signature
 from numba.core.target_extension import CPU, dispatcher_registry, jit_registry, target_registry
 from numba.core.targetconfig import ConfigStack
 
+from magiclens.kernels.shortcuts import QuickFlags, steps_needed
+
 TARGET = "magiclens"
 """The name by which ``numba.njit(_target=...)`` knows the target."""
 
@@ -112,7 +114,8 @@ class _KernelCompiler(Compiler):
 
     def __init__(self, *arguments: Any):
         super().__init__(*arguments)
-        flags = self.state.flags
+        flags: Any = QuickFlags(self.state.flags)
+        self.state.flags = flags
         self._no_wrapper, self._release_gil = flags.no_cpython_wrapper or bool(ConfigStack()), flags.release_gil
         # what is called is compiled anew for callers with other flags, even for such as concern the wrapper only
         flags.no_cpython_wrapper, flags.release_gil = True, False
@@ -120,7 +123,11 @@ class _KernelCompiler(Compiler):
     def define_pipelines(self) -> Any:
         """Put back the flags, when the callees have been told them."""
         self.state.flags.no_cpython_wrapper, self.state.flags.release_gil = self._no_wrapper, self._release_gil
-        return super().define_pipelines()
+        pipelines = super().define_pipelines()
+        for pipeline in pipelines:
+            pipeline.passes = steps_needed(pipeline.passes, self.state.func_id.code)
+            pipeline.finalize()
+        return pipelines
 
 
 class _KernelCache(FunctionCache):

@@ -293,6 +293,7 @@ def _end_with(parent: int) -> None:
 
 if __name__ == "__main__":
     _end_with(int(sys.argv[1]))
+    gc.disable()  # what it would find is free before long anyway, and looking takes a second and more
     for path in sys.argv[3].split(os.pathsep):
         compile_parts(sys.argv[2].split(","), Path(path), sys.argv[4:])
     gc.freeze()  # the process ends, and with it its memory: otherwise Python would look through all objects first
