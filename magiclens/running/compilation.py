@@ -96,10 +96,11 @@ class _CompilationAhead(Observer):
         self._done: set[str] = set()
 
     def started(self, name: str, facets: int) -> None:
-        """Wait until the child has compiled what this piece of work needs: heights are refined by integrators."""
+        """Wait until the child has compiled what this piece of work needs."""
         self._observer.started(name, facets)
-        if not name.startswith(("pictures", "matcher", "annealer")):
-            self._wait_for("refine" if name.startswith("integrator") else _LATE[-1])
+        part = next((part for start, part in _NEEDS.items() if name.startswith(start)), _LATE[-1])
+        if part in _LATE:
+            self._wait_for("refine" if name.endswith("refinement") else part)
 
     def progressed(self, name: str, fraction: float) -> None:
         """Pass it on."""
@@ -206,14 +207,16 @@ def _solid(scene: Scene) -> Solid:
 
 def _candidates() -> Candidates:
     shape = (_SIDE, _SIDE, 1)
-    maps = np.broadcast_to(np.array([1.0, 0.0, 1.0], np.float32), (*shape, 3))
+    maps = np.tile(np.array([1.0, 0.0, 1.0], np.float32), (*shape, 1))
     return Candidates(np.zeros((*shape, 2), np.float32), maps, np.zeros(shape, np.float32))
 
 
 def _match(plan: Plan, scene: Scene) -> None:
-    rng = generators(plan.spec.seed)
-    candidates = plan.matcher.stage.match(scene, rng["matcher"])
-    assignment = plan.annealer.stage.anneal(scene, candidates, rng["annealer"])
+    plan.matcher.stage.match(scene, generators(plan.spec.seed)["matcher"])
+
+
+def _anneal(plan: Plan, scene: Scene) -> None:
+    assignment = plan.annealer.stage.anneal(scene, _candidates(), generators(plan.spec.seed)["annealer"])
     plan.integrator.stage.integrate(scene, assignment)
 
 
@@ -271,13 +274,19 @@ def _inspect(plan: Plan, scene: Scene) -> None:
 
 
 _PARTS: dict[str, Callable[[Plan, Scene], None]] = {
-    "match": _match, "refine": _refine, "export": _export, "render": _render, "analyse": _analyse,
-    "inspect": _inspect,
+    "match": _match, "anneal": _anneal, "refine": _refine, "export": _export, "render": _render,
+    "analyse": _analyse, "inspect": _inspect,
 }  # fmt: skip
-_EARLY = ("match",)
+_EARLY = ("match", "anneal")
 """What a run compiles itself, since it needs it first."""
 _LATE = ("refine", "export", "render", "inspect", "analyse")
 """What the child compiles, in the order in which a run needs it, the longest first."""
+_NEEDS = {
+    "pictures": "match", "matcher": "match", "annealer": "anneal", "integrator": "anneal", "meshing": "export",
+    "finisher": "export", "exporter": "export", "renderer": "render", "contact-sheet": "render",
+    **dict.fromkeys(_TRACING, "render"), "preflight": "inspect",
+}  # fmt: skip
+"""The part that a piece of work needs, by how its name begins; others need them all."""
 
 
 def _end_with(parent: int) -> None:
