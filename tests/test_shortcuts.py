@@ -82,16 +82,3 @@ def test_lists_and_names_of_fields_are_understood() -> None:
 
     assert listed(1.5) == 4.5
     assert named(np.array([(1.0,), (2.0,)], np.dtype([("x", np.float64)]))) == 3.0
-
-
-def test_operators_of_numbers_and_arrays_have_numpys_types() -> None:
-    @njit()
-    def mixed(a, b):
-        a += b
-        return a / 2, a > b, a * True
-
-    for got, expected in zip(mixed(np.float32(1), np.float32(2)), (1.5, True, 3.0), strict=True):
-        assert got == expected
-    ones = np.ones(3, np.float32)
-    for got, expected in zip(mixed(ones.copy(), ones), (ones, ones == 1, 2 * ones), strict=True):
-        np.testing.assert_array_equal(got, expected)

@@ -15,7 +15,6 @@ from numba.core import ir, types
 from numba.core.compiler import Flags
 from numba.core.compiler_machinery import register_pass
 from numba.core.typed_passes import NopythonRewrites
-from numba.core.typing.npydecl import NumpyRulesArrayOperator
 from numba.core.untyped_passes import InlineClosureLikes, MakeFunctionToJitFunction
 
 _DEFAULTS = Flags().values()
@@ -79,14 +78,3 @@ def _to_be_rewritten(state: Any) -> bool:
                 if called is None or isinstance(getattr(called, "typing_key", None), np.ufunc):
                     return True
     return False
-
-
-def _operator_of_arrays(self: Any, arguments: tuple[Any, ...], keywords: dict[str, Any]) -> Any:
-    """The type of an operator's result if it takes arrays: numba would look for numpy's rule for numbers, too."""
-    if all(isinstance(kind, types.Number | types.Boolean) for kind in arguments):
-        return None
-    return _rule_of_numpy(self, arguments, keywords)
-
-
-_rule_of_numpy = NumpyRulesArrayOperator.generic
-NumpyRulesArrayOperator.generic = _operator_of_arrays  # type: ignore[method-assign]
