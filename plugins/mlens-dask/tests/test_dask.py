@@ -152,6 +152,11 @@ class Programs:
         command = [sys.executable, "-m", "distributed.cli.dask_scheduler", *where]
         return subprocess.Popen(command, stderr=subprocess.DEVNULL, env=self.environment)
 
+    def wait_for_work(self) -> None:
+        """Return when some worker has something to do."""
+        with Client(self.address, set_as_default=False) as client:
+            waited_for(lambda: any(client.processing().values()) or None)
+
     def kill_scheduler(self) -> None:
         """Kill it, and start another one at the same address."""
         self.scheduler.kill()
@@ -164,7 +169,7 @@ class Programs:
         Args:
             then: Done before another worker can do what this one leaves.
         """
-        with Client(self.address) as client:
+        with Client(self.address, set_as_default=False) as client:
 
             def at_work() -> str | None:
                 return next((at for at, keys in client.processing().items() if keys), None)
@@ -271,14 +276,18 @@ def test_arrays_are_found_again_when_the_scheduler_or_a_worker_is_killed(
 ) -> None:
     given, blocks = (np.full(100_000, 3.0), tmp_path / "gate"), [np.full(1000, float(k)) for k in range(6)]
     kill = {"scheduler": programs.kill_scheduler, "worker": programs.kill_a_worker, "both": programs.kill_both}[victim]
-    with Dask(address=programs.address, wait_s=120).spreader() as cluster:
-        before = list(cluster.map(scaled, given, blocks[:2]))  # what all items share is on the workers now
-        results = cluster.map(scaled, given, blocks)
-        found = [next(results), next(results)]
-        kill()  # the next blocks are under way
+
+    def kill_at_work() -> None:
+        programs.wait_for_work()
+        kill()
         (tmp_path / "gate").touch()
-        found += results
+
+    with Dask(address=programs.address, wait_s=120).spreader() as cluster, ThreadPoolExecutor(1) as killer:
+        before = list(cluster.map(scaled, given, blocks[:2]))  # what all items share is on a worker now
+        killed = killer.submit(kill_at_work)
+        found = list(cluster.map(scaled, given, blocks))
         after = list(cluster.map(scaled, given, blocks[:2]))
+    assert killed.exception() is None
     assert [block.tobytes() for block in found] == [(3 * block).tobytes() for block in blocks]
     assert [block.tobytes() for block in (*before, *after)] == [(3 * block).tobytes() for block in blocks[:2]] * 2
 

@@ -112,7 +112,8 @@ class Cluster:
         try:
             self._submit(loop, loop.due())
             self._wait_for_a_worker()
-            with suppress(TimeoutError, CancelledError):
+            # or it would ask the client that the process has made last, whoever it is of
+            with self._client.as_current(), suppress(TimeoutError, CancelledError):
                 wait(list(loop.futures), PATIENCE_S, "FIRST_COMPLETED")
             for future in [future for future in loop.futures if future.done()]:
                 number = loop.futures.pop(future)
