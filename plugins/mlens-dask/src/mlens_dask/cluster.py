@@ -170,7 +170,8 @@ class Cluster:
         while True:
             self._wait_for_a_worker()
             try:
-                return self._client.scatter(data, hash=False, broadcast=broadcast)
+                placed: list[Future[Any]] = self._client.scatter(data, hash=False, broadcast=broadcast)
+                return placed
             except (KeyError, ValueError):
                 # a scheduler does not know the worker that has them, which has died or has not come back: a KeyError;
                 # there is none left to copy them to: a ValueError
