@@ -334,7 +334,7 @@ class Returning(Poisson):
     """Starts again in the middle."""
 
     def refine(self, scene: Scene, built: HeightField, progress: Progress = silent) -> HeightField:
-        progress(0.9)
+        progress(0.7)
         return super().refine(scene, built, progress)
 
 

@@ -252,7 +252,7 @@ def test_stages_that_are_killed_find_the_same_with_other_numbers_of_threads(
     stage: Callable[[], Any], cache: Cache, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(resuming, "MOST_BLOCKS", 3)
-    monkeypatch.setattr("magiclens.integration.refinement.FACETS_AT_ONCE", 2)
+    monkeypatch.setattr("magiclens.integration.refinement.FACETS_AT_ONCE", 4)
     monkeypatch.setattr("magiclens.integration.through_process.STEPS_BY_BLUR", (2, 3, 3))
     monkeypatch.setattr("magiclens.integration.through_process.GRADIENT_STEPS", 4)
     expected, whole = digests(stage()), Killing(None)

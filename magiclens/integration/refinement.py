@@ -45,6 +45,8 @@ _DISPLAY_ENTRIES = 8192
 """Number of entries of the table of display values."""
 FACETS_AT_ONCE = 512
 """Most facets between two reports of progress."""
+_LEAST_REPORTS = 4
+"""Least reports of progress on all facets, but for one each."""
 _FINER = 8
 """So many blocks of facets for each worker of a cluster: some facets take many more steps than others."""
 
@@ -141,7 +143,8 @@ class _Facets:
             for blur, rounds in passes
         ]
         errors = np.full((len(passes), len(self.heights)), np.inf)
-        blocks = shares(len(self._imperfect), _FINER, FACETS_AT_ONCE)
+        at_once = min(FACETS_AT_ONCE, max(len(self._imperfect) // _LEAST_REPORTS, 1))
+        blocks = shares(len(self._imperfect), _FINER, at_once)
         facets = [self._imperfect[block.start : block.stop] for block in blocks]
         parts = [_Part(self.heights[f], self._centres[f], descents) for f in facets]
         for done, (heights, after) in spread(_descended, self._common, parts, self.heights, errors):
