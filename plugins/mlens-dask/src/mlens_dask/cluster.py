@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from magiclens import InputError, StageError, raising
 
 if TYPE_CHECKING:
-    from distributed import Client, Future
+    from distributed import Future
 
 _Given = TypeVar("_Given")
 _Item = TypeVar("_Item")
@@ -58,9 +58,8 @@ class Cluster:
             ValueError: That is no address.
         """
         self._address, self._wait_s, self._blocks = address, wait_s, blocks
-        self._client = self._connected()
         self._sent: tuple[Any, Future[Any]] | None = None
-        self._scheduler = self._named()
+        self._connect()
 
     def close(self) -> None:
         """Disconnect."""
@@ -179,11 +178,13 @@ class Cluster:
                     raise
                 time.sleep(0.1)
 
-    def _connected(self) -> Client:
+    def _connect(self) -> None:
+        """Connect to the scheduler that there is. Raises OSError if none answers, ValueError if that is no address."""
         from distributed import Client
 
         # by default, the scheduler would pass on what is sent and found
-        return Client(self._address, timeout=TIMEOUT_S, direct_to_workers=True)
+        self._client = Client(self._address, timeout=TIMEOUT_S, direct_to_workers=True)
+        self._scheduler = self._named()
 
     def _named(self) -> object:
         """The name of the scheduler, which another one does not have.
@@ -211,14 +212,13 @@ class Cluster:
         self._client.close()
         while True:
             try:
-                self._client = self._connected()
+                self._connect()
             except OSError:
                 if time.monotonic() - began > self._wait_s:
                     raise InputError(
                         f"no scheduler at {self._address} for {self._wait_s:g} seconds", "wait_s"
                     ) from None
             else:
-                self._scheduler = self._named()
                 return
 
     def _wait_for_a_worker(self) -> None:
