@@ -272,7 +272,7 @@ def test_an_item_that_kills_every_worker_is_given_up_and_stops_no_other() -> Non
 
 @pytest.mark.parametrize("victim", ["scheduler", "worker", "both"])
 def test_arrays_are_found_again_when_the_scheduler_or_a_worker_is_killed(
-    programs: Programs, victim: str, tmp_path: Path
+    programs: Programs, victim: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     given, blocks = (np.full(100_000, 3.0), tmp_path / "gate"), [np.full(1000, float(k)) for k in range(6)]
     kill = {"scheduler": programs.kill_scheduler, "worker": programs.kill_a_worker, "both": programs.kill_both}[victim]
@@ -288,6 +288,8 @@ def test_arrays_are_found_again_when_the_scheduler_or_a_worker_is_killed(
         found = list(cluster.map(scaled, given, blocks))
         after = list(cluster.map(scaled, given, blocks[:2]))
     assert killed.exception() is None
+    said = "does not answer; what was under way begins again" in capsys.readouterr().err
+    assert said == (victim != "worker")
     assert [block.tobytes() for block in found] == [(3 * block).tobytes() for block in blocks]
     assert [block.tobytes() for block in (*before, *after)] == [(3 * block).tobytes() for block in blocks[:2]] * 2
 
@@ -458,8 +460,7 @@ def test_a_lens_is_the_same_when_a_worker_and_the_scheduler_are_killed_in_mid_ru
         killed = killer.submit(programs.kill_both)
         done = CliRunner().invoke(app, [*command, str(tmp_path / "b" / "alone"), *spreading])
     assert done.exit_code == 0, done.output
-    assert killed.exception() is None
-    assert "does not answer; what was under way begins again" in done.stderr
+    assert killed.exception() is None  # the lens could not be ready before: nobody was left who could do the last item
     assert contents(tmp_path / "b") == contents(tmp_path / "a")
 
 

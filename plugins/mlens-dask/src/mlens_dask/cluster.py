@@ -139,8 +139,7 @@ class Cluster:
             loop.has_ended(number, future.result(self._wait_s))
         except CancelledError:  # it was with a worker that has died, or known to a scheduler that has
             self._sent = None
-            if self._named() != self._scheduler:
-                raise ConnectionError from None
+            self._require_scheduler()
             loop.has_died(number, 1)
 
     def _submit(self, loop: _Loop, numbers: list[int]) -> None:
@@ -168,6 +167,7 @@ class Cluster:
         began = time.monotonic()
         while True:
             self._wait_for_a_worker()
+            self._require_scheduler()
             try:
                 placed: list[Future[Any]] = self._client.scatter(data, hash=False, broadcast=broadcast)
                 return placed
@@ -185,6 +185,17 @@ class Cluster:
         # by default, the scheduler would pass on what is sent and found
         self._client = Client(self._address, timeout=TIMEOUT_S, direct_to_workers=True)
         self._scheduler = self._named()
+
+    def _require_scheduler(self) -> None:
+        """Make sure that the scheduler is the one that was connected to.
+
+        Dask's client waits for one that is started again at the same address, and asks it as if nothing had happened.
+
+        Raises:
+            OSError: It has died; another one knows nothing of what was sent.
+        """
+        if self._named() != self._scheduler:
+            raise ConnectionError
 
     def _named(self) -> object:
         """The name of the scheduler, which another one does not have.
