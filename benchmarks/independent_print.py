@@ -27,8 +27,8 @@ from scipy.ndimage import gaussian_filter
 from magiclens.contract.artifacts import Scene, Solid
 from magiclens.images import score
 from magiclens.profiles.machines import Printer
-from magiclens.rendering.llvm import usable_variant
 from magiclens.rendering.mitsuba import Mitsuba
+from magiclens.rendering.variants import usable_variant
 from magiclens.running.open_run import OpenRun, open_run
 from magiclens.simulation.as_made import as_made
 

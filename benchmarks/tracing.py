@@ -38,7 +38,7 @@ def comparisons(options: argparse.Namespace) -> list[Comparison]:
 
 
 def _variants() -> list[str]:
-    from magiclens.rendering.llvm import usable_variant
+    from magiclens.rendering.variants import usable_variant
 
     return sorted({usable_variant("auto"), "scalar_rgb"})
 

@@ -61,7 +61,7 @@ def path_traced(truth: Truth, samples: int = 16) -> FloatArray:
     """(rows, columns) linear light: the coupon of the truth as Mitsuba sees it on its glowing sheet."""
     import mitsuba as mi
 
-    from magiclens.rendering.llvm import usable_variant
+    from magiclens.rendering.variants import usable_variant
 
     mi.set_variant(usable_variant("auto"))
     solid = made_coupon(truth)

@@ -18,7 +18,7 @@ from toys import plugin_of
 @pytest.fixture(autouse=True)
 def no_llvm(monkeypatch: pytest.MonkeyPatch) -> None:
     """No LLVM is found, since trying one takes seconds."""
-    monkeypatch.setattr("magiclens.rendering.llvm.working_llvm", lambda: None)
+    monkeypatch.setattr("magiclens.rendering.variants.working_llvm", lambda: None)
 
 
 @pytest.fixture

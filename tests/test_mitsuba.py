@@ -15,7 +15,7 @@ from pydantic import ValidationError
 
 from magiclens.contract.artifacts import FloatArray, Lens, Scene, Solid, View
 from magiclens.contract.errors import StageError
-from magiclens.rendering import llvm
+from magiclens.rendering import variants
 from magiclens.rendering.mitsuba import SMALLEST_GAP_MM, Mitsuba
 
 SIZE, SOURCE, THICK, DISTANCE, IOR = 100.0, 300.0, 40.0, 400.0, 1.49
@@ -244,35 +244,47 @@ def test_sample_counts_are_powers_of_four() -> None:
         Mitsuba(samples=32)
 
 
-class TestLlvm:
-    """The choice of a variant. LLVM libraries are tried in a child process since the wrong ones abort theirs."""
+class TestVariants:
+    """The choice of a variant. Libraries are tried in a child process since the wrong ones abort theirs."""
 
     def test_library_that_cannot_be_loaded_leaves_scalar(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "libno-such-library.so")
-        assert llvm.installed_libraries() == ["libno-such-library.so"]
-        assert llvm.usable_variant("auto", lambda: llvm.first_working(llvm.installed_libraries())) == "scalar_rgb"
+        assert variants.installed_libraries() == ["libno-such-library.so"]
+        found = variants.first_working(variants.installed_libraries())
+        assert variants.usable_variant("auto", lambda: found) == "scalar_rgb"
 
     def test_library_that_aborts_its_process_does_not_work(self) -> None:
-        assert llvm.first_working(["any"], "import os; os.abort()") is None
+        assert variants.first_working(["any"], probe="import os; os.abort()") is None
 
     def test_asking_for_llvm_without_one_says_what_to_do(self) -> None:
         with pytest.raises(StageError, match="install LLVM 17 or newer, or name its library in DRJIT_LIBLLVM_PATH"):
-            llvm.usable_variant("llvm_ad_rgb", lambda: None)
+            variants.usable_variant("llvm_ad_rgb", lambda: None)
 
     def test_first_library_that_works_is_used(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "")
-        probe = "import sys; sys.exit(sys.argv[1] == 'bad')"
-        found = llvm.first_working(["bad", "good", "better"], probe)
-        assert llvm.usable_variant("auto", lambda: found) == "llvm_ad_rgb"
+        probe = "import sys; sys.exit(sys.argv[2] == 'bad')"
+        found = variants.first_working(["bad", "good", "better"], probe=probe)
+        assert variants.usable_variant("auto", lambda: found) == "llvm_ad_rgb"
         assert os.environ["DRJIT_LIBLLVM_PATH"] == "good"
 
+    def test_a_gpu_is_used_if_it_is_asked_for_and_works(self) -> None:
+        probe = "import sys; sys.exit(sys.argv[1:] != ['cuda_ad_rgb', 'driver'])"
+        found = variants.first_working(["driver"], "cuda_ad_rgb", probe)
+        assert variants.usable_variant("cuda_ad_rgb", find_gpu=lambda: found) == "cuda_ad_rgb"
+        assert variants.usable_variant("auto", lambda: None, find_gpu=lambda: found) == "scalar_rgb"
+
+    def test_asking_for_a_gpu_without_one_says_what_to_do(self) -> None:
+        found = variants.first_working(["libno-such-driver.so"], "cuda_ad_rgb")
+        with pytest.raises(StageError, match="an NVIDIA GPU and a driver with OptiX; 'variant: auto' needs neither"):
+            variants.usable_variant("cuda_ad_rgb", find_gpu=lambda: found)
+
     def test_scalar_needs_no_library(self) -> None:
-        assert llvm.usable_variant("scalar_rgb", lambda: pytest.fail("searched")) == "scalar_rgb"
+        assert variants.usable_variant("scalar_rgb", lambda: pytest.fail("searched")) == "scalar_rgb"
 
 
 @pytest.mark.tools
 def test_llvm_shows_what_scalar_shows() -> None:
-    assert llvm.working_llvm(), "no LLVM that Mitsuba works with: apt install libllvm19"
+    assert variants.working_llvm(), "no LLVM that Mitsuba works with: apt install libllvm19"
     scalar, compiled = (picture(prism(0.2), ramps(), variant=v) for v in ("scalar_rgb", "auto"))
     assert np.abs(compiled - scalar)[2:-2, 2:-2].max() < 0.1
     assert compiled.mean() == pytest.approx(scalar.mean(), rel=0.01)

@@ -149,7 +149,7 @@ def path_traced(scene: Scene, solid: Solid, view: View, pose: Pose) -> FloatArra
     """The same by Mitsuba: the lens stays, sheet and eye are moved about it."""
     import mitsuba as mi
 
-    from magiclens.rendering.llvm import usable_variant
+    from magiclens.rendering.variants import usable_variant
 
     renderer = Mitsuba(resolution=128, samples=64)
     mi.set_variant(usable_variant("auto"))

@@ -204,7 +204,7 @@ def _writable(folder: Path) -> bool:
 
 def _llvm() -> Diagnosis:
     """Whether Mitsuba finds an LLVM; tried in a child process, since one that is too old aborts the process."""
-    from magiclens.rendering.llvm import LLVM_VARIABLE, working_llvm
+    from magiclens.rendering.variants import LLVM_VARIABLE, working_llvm
 
     library = working_llvm()
     advice = f"Mitsuba is slow without LLVM 17 or newer: apt install libllvm19, or name its library in {LLVM_VARIABLE}"

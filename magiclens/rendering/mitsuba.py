@@ -34,8 +34,10 @@ class Mitsuba(Renderer):
     roughness: float = Field(
         0.0, ge=0.0, le=1.0, description="GGX alpha of the surface (Walter et al. 2007); 0: smooth"
     )
-    variant: Literal["auto", "llvm_ad_rgb", "scalar_rgb"] = Field(
-        "auto", description="Mitsuba's variant; `auto`: compiled by LLVM (17 or newer) if that works here, else scalar"
+    variant: Literal["auto", "llvm_ad_rgb", "scalar_rgb", "cuda_ad_rgb"] = Field(
+        "auto",
+        description="Mitsuba's variant; `auto`: compiled by LLVM (17 or newer) if that works here, else scalar; "
+        "`cuda_ad_rgb`: on an NVIDIA GPU, where pictures of equal seeds differ by rounding",
     )
     max_depth: int = Field(8, ge=3, le=1000, description="longest path, in surfaces; 3: straight through to the source")
     seed: int = Field(0, ge=0, lt=2**32, description="seed of the samples; equal seeds give equal pictures")
@@ -51,15 +53,15 @@ class Mitsuba(Renderer):
 
     def surroundings(self) -> object:
         """The LLVM libraries that are installed, since the variants of Mitsuba round differently."""
-        from magiclens.rendering.llvm import library_files
+        from magiclens.rendering.variants import library_files
 
-        return None if self.variant == "scalar_rgb" else library_files()
+        return library_files() if self.variant in ("auto", "llvm_ad_rgb") else None
 
     def render(self, scene: Scene, solid: Solid, progress: Progress = silent) -> list[FloatArray]:
         """One (resolution, resolution, C) float32 picture per view, in linear light."""
         import mitsuba as mi
 
-        from magiclens.rendering.llvm import usable_variant
+        from magiclens.rendering.variants import usable_variant
 
         mi.set_variant(usable_variant(self.variant))
         mesh = self._lens(solid, scene.lens.ior)

@@ -1,4 +1,4 @@
-"""Which variant of Mitsuba works here: compiled by an LLVM library that it gets along with, else scalar."""
+"""Which variant of Mitsuba works here: compiled by an LLVM library that it gets along with, or scalar; or on a GPU."""
 
 from __future__ import annotations
 
@@ -20,14 +20,15 @@ _CHOSEN_BY_USER = os.environ.get(LLVM_VARIABLE, "")
 
 PROBE = f"""
 import ctypes, os, sys
-library = sys.argv[1]
+variant, library = sys.argv[1:]
 try:
     ctypes.CDLL(library)
 except OSError:
     sys.exit(f"cannot load {{library}}")
-os.environ["{LLVM_VARIABLE}"] = library
+if variant.startswith("llvm"):
+    os.environ["{LLVM_VARIABLE}"] = library
 import mitsuba as mi
-mi.set_variant("llvm_ad_rgb")
+mi.set_variant(variant)
 view = mi.ScalarTransform4f().look_at(origin=[0, 0, 3], target=[0, 0, 0], up=[0, 1, 0])
 scene = mi.load_dict({{
     "type": "scene",
@@ -39,10 +40,14 @@ scene = mi.load_dict({{
 brightness = float(sum(mi.render(scene, spp=4).array) / (8 * 8 * 3))
 sys.exit(0 if 0.9 < brightness < 1.1 else f"a clear ball in a white world is {{brightness}} bright")
 """
-"""Program that renders a clear ball in a white world with the LLVM library it is given; it fails if that does not work.
+"""Program that renders a clear ball in a white world with the variant of Mitsuba and the library that it is given.
 
-It runs in a process of its own, because libraries that are too old abort the process that tries them.
+It fails if that does not work. It runs in a process of its own, because libraries that are too old abort the process
+that tries them.
 """
+
+_CUDA_LIBRARIES = ("libcuda.so.1", "nvcuda.dll")
+"""What drivers of NVIDIA's GPUs bring along, on Linux and on Windows."""
 
 _PATIENCE_S = 120
 """Seconds after which a library counts as one that does not work."""
@@ -54,18 +59,37 @@ def working_llvm() -> str | None:
     return first_working(installed_libraries())
 
 
-def usable_variant(variant: str, find: Callable[[], str | None] = working_llvm) -> str:
+@cache
+def working_gpu() -> str | None:
+    """The library of the driver of a GPU with which Mitsuba works here, or None. Tried once per process."""
+    return first_working(_CUDA_LIBRARIES, "cuda_ad_rgb")
+
+
+def usable_variant(
+    variant: str, find: Callable[[], str | None] = working_llvm, find_gpu: Callable[[], str | None] = working_gpu
+) -> str:
     """The variant of Mitsuba to use, with Dr.Jit told which LLVM library works.
 
+    A GPU is never chosen by itself: it adds up what arrives in a pixel in no order, so that pictures of equal seeds are
+    only nearly equal.
+
     Args:
-        variant: `auto`, `llvm_ad_rgb` or `scalar_rgb`, as asked for.
+        variant: `auto`, `llvm_ad_rgb`, `scalar_rgb` or `cuda_ad_rgb`, as asked for.
         find: finds the library.
+        find_gpu: finds that of the driver of a GPU.
 
     Raises:
-        StageError: LLVM is asked for, and no library works.
+        StageError: LLVM or a GPU is asked for, and none works.
     """
     if variant == "scalar_rgb":
         return variant
+    if variant == "cuda_ad_rgb":
+        if find_gpu() is not None:
+            return variant
+        raise StageError(
+            f"Mitsuba's {variant} does not work here: it needs an NVIDIA GPU and a driver with OptiX; "
+            "'variant: auto' needs neither"
+        )
     library = find()
     if library is not None:
         os.environ[LLVM_VARIABLE] = library
@@ -78,9 +102,9 @@ def usable_variant(variant: str, find: Callable[[], str | None] = working_llvm) 
     )
 
 
-def first_working(libraries: Iterable[str], probe: str = PROBE) -> str | None:
-    """The first library with which a child process that runs ``probe`` succeeds, or None."""
-    return next((library for library in libraries if _works(library, probe)), None)
+def first_working(libraries: Iterable[str], variant: str = "llvm_ad_rgb", probe: str = PROBE) -> str | None:
+    """The first library with which a child process that runs ``probe`` with this variant succeeds, or None."""
+    return next((library for library in libraries if _works(variant, library, probe)), None)
 
 
 def installed_libraries() -> list[str]:
@@ -105,8 +129,8 @@ def _sonames(version: int) -> tuple[str, str]:
     return f"libLLVM.so.{version}.1", f"libLLVM-{version}.so.1"
 
 
-def _works(library: str, probe: str) -> bool:
-    command = [sys.executable, "-c", probe, library]
+def _works(variant: str, library: str, probe: str) -> bool:
+    command = [sys.executable, "-c", probe, variant, library]
     try:
         return subprocess.run(command, capture_output=True, timeout=_PATIENCE_S).returncode == 0
     except subprocess.TimeoutExpired:
