@@ -74,10 +74,11 @@ def choose_basis(samples: FloatArray, skip_y: int, pixels: int) -> Basis:
     ]
     patches = patches.reshape(channels, -1, pixels, pixels).astype(np.float64) - GREY
     flat = patches.reshape(channels, -1)
-    mixtures = np.linalg.eigh(flat @ flat.T)[1].T[::-1]
+    # products step by step, not by BLAS: its threads would go on looking for work for a tenth of a second each time
+    mixtures = np.linalg.eigh(np.einsum("cn,dn->cd", flat, flat))[1].T[::-1]
     waves = _cosines(pixels)
-    energies = np.einsum("mc,cnyx,by,ax->nmba", mixtures, patches, waves, waves, optimize=True)
-    energies = (energies**2).sum(axis=0)
+    along_y = np.einsum("mnyx,by->mnbx", np.einsum("mc,cnyx->mnyx", mixtures, patches), waves)
+    energies = (np.einsum("mnbx,ax->nmba", along_y, waves) ** 2).sum(axis=0)
     count = min(max(_LEAST, min(_PER_CHANNEL * (channels + 2), _MOST)), energies.size)
     best = np.argsort(-energies.ravel(), kind="stable")[:count]
     vectors = np.stack(np.unravel_index(best, energies.shape), axis=1)
