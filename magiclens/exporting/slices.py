@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple
 from zipfile import ZipFile
 
 import numpy as np
@@ -19,13 +20,17 @@ from magiclens.contract.stages import Exporter
 from magiclens.contract.units import LENGTH, Length
 from magiclens.exporting.archive import entry
 from magiclens.exporting.png import png
+from magiclens.kernels.spreading import is_spread, shares, spread
+from magiclens.kernels.threads import side_by_side_ahead
 from magiclens.processes.diffusion import diffusion_weights
 from magiclens.processes.layers import Grey, Slicing
 from magiclens.processes.linear import LinearProcess
 from magiclens.processes.tilting import Tilt
 
 if TYPE_CHECKING:
-    from magiclens.exporting.voxels import VoxelGrid
+    from magiclens.exporting.voxels import BitLayers, GreyLayers, VoxelGrid
+
+    Layers = BitLayers | GreyLayers
 
 _MOST_PIXELS = 10**8
 """Most pixels of a layer; more need more memory than a desktop has."""
@@ -33,6 +38,8 @@ _MOST_LAYERS = 10**5
 """Most layers; their names have five digits."""
 _SWING = 2
 """Layers above the highest point of a solid that error diffusion may use."""
+_FINER = 4
+"""So many blocks of layers for each worker of a cluster: the upper ones take longer."""
 _NAME = "layer-{:05d}.png"
 """Names of the files in ``slices``, by number of the layer."""
 _Side = Annotated[Length, Field(ge=1, le=2000)]
@@ -90,48 +97,84 @@ class LayerStack(Exporter):
             wish = f"there would be {layers} layers, more than {_MOST_LAYERS:,}"
             raise InputError(f"{wish}; raise layer, now {LENGTH.text(self.layer)}", keys=("layer",))
 
-    def _layers(self, solid: Solid, grid: VoxelGrid) -> Iterator[tuple[NDArray[np.uint8] | None, float]]:
-        """Every layer from the lowest up, row 0 at +y: its pixels, None if it is like the last; its filled voxels.
+    def _layers(self, solid: Solid, grid: VoxelGrid) -> Layers:
+        """The layers of a solid that stands on the plate."""
+        from magiclens.exporting.voxels import BitLayers, GreyLayers
 
-        Pixels are bits, see ``Bitmap``, or bytes if they are grey.
-        """
-        from PIL import Image
-
-        from magiclens.exporting.voxels import grey_layers, layers
-
-        filled, flat = 0.0, self.tilt is None
-        weights = diffusion_weights(self.process, grid.pixel_mm)
+        weights, flat = diffusion_weights(self.process, grid.pixel_mm), self.tilt is None
         if self.grey:
-            share = self.grey.share_of_pixels()
-            for pixels, changed in grey_layers(solid, grid, self.slicing, self.grey, weights, flat):
-                if changed:  # Pillow counts some times as fast as numpy, and in no more memory
-                    filled = float(np.array(Image.fromarray(pixels).histogram()) @ share)
-                yield pixels.copy() if changed else None, filled
-        else:
-            for bitmap, changed in layers(solid, grid, self.slicing, weights, flat):
-                if changed:
-                    filled = float(np.bitwise_count(bitmap).sum(dtype=np.int64))
-                yield bitmap.copy() if changed else None, filled
+            return GreyLayers.of(solid, grid, self.slicing, self.grey, weights, flat)
+        return BitLayers.of(solid, grid, self.slicing, weights, flat)
 
     def _write_layers(self, archive: ZipFile, solid: Solid, grid: VoxelGrid, name: str) -> float:
         """Write a PNG per layer; their filled volume, mm^3. The number of the layer is formatted into ``name``."""
-        from magiclens.kernels.threads import side_by_side_ahead
-
-        def compressed(layer: tuple[NDArray[np.uint8] | None, float]) -> tuple[bytes | None, float]:
-            pixels, filled = layer
-            return None if pixels is None else self._png(pixels, grid), filled
-
+        stack, count = _Stack(self, grid, self._layers(solid, grid)), grid.shape[0]
+        # here they are written as they come; others send back blocks of them
+        files = stack.files(range(count))
+        if is_spread():
+            blocks = shares(count, _FINER)
+            files = itertools.chain.from_iterable(block for _, block in spread(_files, stack, blocks))
         total, file = 0.0, b""
-        for k, (changed, filled) in enumerate(side_by_side_ahead(compressed, self._layers(solid, grid))):
-            total += filled
-            file = changed or file  # layers that are alike are compressed once
+        for k, layer in enumerate(files):
+            total += layer.filled
+            file = layer.file or file  # layers that are alike are compressed once
             # a repeated layer is most often a whole square, whose file shrinks to a hundredth once more
-            archive.writestr(entry(name.format(k), packed=changed is None), file)
+            archive.writestr(entry(name.format(k), packed=not layer.changed), file)
         return total * grid.voxel_mm3
 
     def _png(self, pixels: NDArray[np.uint8], grid: VoxelGrid) -> bytes:
         """A layer as a file."""
         return png(pixels, (self.dpi_x, self.dpi_y), 0 if self.grey else grid.shape[2])
+
+
+class _File(NamedTuple):
+    """A layer as it is written.
+
+    Args:
+        file: Its PNG; None if it is that of the layer below.
+        changed: Whether it differs from the layer below.
+        filled: How many voxels are filled; those on top of columns count in part.
+    """
+
+    file: bytes | None
+    changed: bool
+    filled: float
+
+
+@dataclass(frozen=True)
+class _Stack:
+    """The layers of a solid, and what makes files of them."""
+
+    options: LayerStack
+    grid: VoxelGrid
+    layers: Layers
+
+    def files(self, wanted: range) -> Iterator[_File]:
+        """Some layers from the lowest of them up; the first of them has a file in any case."""
+        return side_by_side_ahead(self._packed, self._counted(wanted))
+
+    def _counted(self, wanted: range) -> Iterator[tuple[NDArray[np.uint8] | None, bool, float]]:
+        """Pixels, None if they are those of the layer below; whether they are not; and filled voxels."""
+        from PIL import Image
+
+        grey, filled = self.options.grey, 0.0
+        share = grey.share_of_pixels() if grey else None
+        for k, (pixels, changed) in zip(wanted, self.layers.pixels(wanted), strict=True):
+            needed = changed or k == wanted.start
+            if needed and share is not None:  # Pillow counts some times as fast as numpy, and in no more memory
+                filled = float(np.array(Image.fromarray(pixels).histogram()) @ share)
+            elif needed:
+                filled = float(np.bitwise_count(pixels).sum(dtype=np.int64))
+            yield pixels.copy() if needed else None, changed, filled
+
+    def _packed(self, layer: tuple[NDArray[np.uint8] | None, bool, float]) -> _File:
+        pixels, changed, filled = layer
+        return _File(None if pixels is None else self.options._png(pixels, self.grid), changed, filled)
+
+
+def _files(stack: _Stack, wanted: range) -> list[_File]:
+    """Some layers as files. It may be called again with the same layers, on other machines."""
+    return list(stack.files(wanted))
 
 
 class Slices(LayerStack):

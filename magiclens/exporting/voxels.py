@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,65 +65,114 @@ class VoxelGrid:
         return self.first_mm[1] - np.arange(self.shape[1]) * self.pixel_mm[1]
 
 
-def layers(
-    solid: Solid,
-    grid: VoxelGrid,
-    slicing: Slicing = "plain",
-    weights: FloatArray = FLOYD_STEINBERG,
-    on_plate: bool = True,
-) -> Iterator[tuple[Bitmap, bool]]:
-    """Every layer from the lowest up, and whether it differs from the one before, which the first always does.
+@dataclass(frozen=True)
+class BitLayers:
+    """Layers whose voxels are filled or empty, as what changes from one to the next.
 
-    All layers share their memory: use one before asking for the next.
-
-    Args:
-        solid: The solid.
-        grid: Where its voxels are.
-        slicing: Whether voxels are filled if their centres lie in the solid, or the heights of columns are rounded by
-            error diffusion; then what overhangs is filled down to the bottom.
-        weights: Of error diffusion, see ``diffusion_weights``.
-        on_plate: Whether the solid lies flat; columns of one that stands tilted begin at its lower side.
+    Attributes:
+        shape: Rows and columns.
+        starts: (layers + 1,) where each layer begins among the places.
+        places: Voxels that change, row * columns + column.
     """
-    if slicing == "plain":
-        starts, places = _crossings(solid, grid)
-    else:
-        starts, places = _diffused(solid, grid, weights, on_plate)
-    bitmap = np.zeros((grid.shape[1], -(-grid.shape[2] // 8)), np.uint8)
-    for k, (start, end) in enumerate(pairwise(starts)):
-        flip(bitmap, places[start:end], grid.shape[2])
-        yield bitmap, k == 0 or bool(end > start)
+
+    shape: tuple[int, int]
+    starts: IntArray
+    places: IntArray
+
+    @classmethod
+    def of(
+        cls,
+        solid: Solid,
+        grid: VoxelGrid,
+        slicing: Slicing = "plain",
+        weights: FloatArray = FLOYD_STEINBERG,
+        on_plate: bool = True,
+    ) -> BitLayers:
+        """The layers of a solid.
+
+        Args:
+            solid: The solid.
+            grid: Where its voxels are.
+            slicing: Whether voxels are filled if their centres lie in the solid, or the heights of columns are rounded
+                by error diffusion; then what overhangs is filled down to the bottom.
+            weights: Of error diffusion, see ``diffusion_weights``.
+            on_plate: Whether the solid lies flat; columns of one that stands tilted begin at its lower side.
+        """
+        changes = _crossings(solid, grid) if slicing == "plain" else _diffused(solid, grid, weights, on_plate)
+        return cls(grid.shape[1:], *changes)
+
+    def pixels(self, wanted: range) -> Iterator[tuple[Bitmap, bool]]:
+        """Some layers from the lowest of them up, and whether each differs from the one below; the first of all does.
+
+        All layers share their memory: use one before asking for the next.
+        """
+        rows, columns = self.shape
+        bitmap = np.zeros((rows, -(-columns // 8)), np.uint8)
+        flip(bitmap, self.places[: self.starts[wanted.start]], columns)
+        for k in wanted:
+            start, end = self.starts[k], self.starts[k + 1]
+            flip(bitmap, self.places[start:end], columns)
+            yield bitmap, k == 0 or bool(end > start)
 
 
-def grey_layers(
-    solid: Solid,
-    grid: VoxelGrid,
-    slicing: Slicing,
-    grey: Grey,
-    weights: FloatArray = FLOYD_STEINBERG,
-    on_plate: bool = True,
-) -> Iterator[tuple[NDArray[np.uint8], bool]]:
-    """The same as ``layers`` in 8-bit pixels (rows, columns): 255 where a layer is whole, less on top of columns.
+@dataclass(frozen=True)
+class GreyLayers:
+    """Layers in 8-bit pixels, 255 where a layer is whole and less on top of columns, as where columns begin and end.
 
-    What overhangs is filled down to the bottom. ``grey`` says how exposure and height go together.
+    Attributes:
+        shape: Rows and columns.
+        values: Of pixels above the last whole layer of a column, see ``Grey.steps``.
+        ends: Columns in the order of their tops, row * columns + column.
+        end_starts: (layers * values + 1,) where each top begins among them.
+        begins: Columns in the order of the layers in which they begin.
+        begin_starts: (layers + 1,) where each layer begins among them.
     """
-    values, shares = grey.steps()
-    tops = _tops(solid, grid, slicing, weights, shares)
-    order, starts = _by_top(tops, grid.shape[0] * len(shares))
-    begun, begins = _by_top(_feet(solid, grid, tops, len(shares), on_plate), grid.shape[0])
-    layer = np.zeros(grid.shape[1:], np.uint8)
-    for k in range(grid.shape[0]):
-        first = k * len(shares)
-        layer.ravel()[begun[begins[k] : begins[k + 1]]] = 255
-        changed = k == 0 or begins[k + 1] > begins[k]
-        for step, value in enumerate(values):  # columns that end in this layer
-            ends = order[starts[first + step] : starts[first + step + 1]]
-            layer.ravel()[ends] = value
-            changed |= len(ends) > 0
-        if k > 0:  # what had ended in the layer below
-            over = order[starts[first - len(shares)] : starts[first]]
-            layer.ravel()[over] = 0
-            changed |= len(over) > 0
-        yield layer, changed
+
+    shape: tuple[int, int]
+    values: IntArray
+    ends: IntArray
+    end_starts: IntArray
+    begins: IntArray
+    begin_starts: IntArray
+
+    @classmethod
+    def of(
+        cls,
+        solid: Solid,
+        grid: VoxelGrid,
+        slicing: Slicing,
+        grey: Grey,
+        weights: FloatArray = FLOYD_STEINBERG,
+        on_plate: bool = True,
+    ) -> GreyLayers:
+        """The layers of a solid, see ``BitLayers.of``; what overhangs is filled down to the bottom.
+
+        ``grey`` says how exposure and height go together.
+        """
+        values, shares = grey.steps()
+        tops = _tops(solid, grid, slicing, weights, shares)
+        ends = _by_top(tops, grid.shape[0] * len(shares))
+        begins = _by_top(_feet(solid, grid, tops, len(shares), on_plate), grid.shape[0])
+        return cls(grid.shape[1:], values, *ends, *begins)
+
+    def pixels(self, wanted: range) -> Iterator[tuple[NDArray[np.uint8], bool]]:
+        """See ``BitLayers.pixels``."""
+        layer, steps = np.zeros(self.shape, np.uint8), len(self.values)
+        for k in range(wanted.stop):
+            first = k * steps
+            begins = self.begins[self.begin_starts[k] : self.begin_starts[k + 1]]
+            layer.ravel()[begins] = 255
+            changed = k == 0 or len(begins) > 0
+            for step, value in enumerate(self.values):  # columns that end in this layer
+                ends = self.ends[self.end_starts[first + step] : self.end_starts[first + step + 1]]
+                layer.ravel()[ends] = value
+                changed |= len(ends) > 0
+            if k > 0:  # what had ended in the layer below
+                over = self.ends[self.end_starts[first - steps] : self.end_starts[first]]
+                layer.ravel()[over] = 0
+                changed |= len(over) > 0
+            if k >= wanted.start:
+                yield layer, changed
 
 
 def _diffused(solid: Solid, grid: VoxelGrid, weights: FloatArray, on_plate: bool) -> tuple[IntArray, IntArray]:
@@ -163,7 +211,7 @@ def _feet(solid: Solid, grid: VoxelGrid, tops: IntArray, steps: int, on_plate: b
         grid: Where its voxels are.
         tops: (rows * columns,), see ``_tops``.
         steps: Number of tops that a layer has.
-        on_plate: See ``layers``.
+        on_plate: See ``BitLayers.of``.
     """
     from magiclens.geometry.columns import top_heights
 

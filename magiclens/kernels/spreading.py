@@ -21,7 +21,10 @@ _Result = TypeVar("_Result")
 
 
 class Spreader(Protocol):
-    """Has the items of a loop done elsewhere; an executor has one, see ``Executor.spreader``."""
+    """Has the items of a loop done elsewhere; an executor has one, see ``Executor.spreader``.
+
+    Several threads may ask it at a time.
+    """
 
     @property
     def blocks(self) -> int:

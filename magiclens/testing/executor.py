@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 
 import pytest
 
@@ -51,6 +53,15 @@ class ExecutorContract:
         assert [number for number, _ in found] == list(range(len(found)))
         assert [index for _, block in found for index in block] == [0, 10, 20, 30, 40]
 
+    def test_several_threads_may_spread_at_a_time(self) -> None:
+        """Files are written while analyses go on, for instance."""
+        with self.executor.spreader() as spreader, spreading_by(spreader):
+            if spreader is None:
+                pytest.skip("it spreads nothing")
+            with ThreadPoolExecutor(3) as threads:
+                loops = [threads.submit(copy_context().run, _all_scaled, factor) for factor in (2, 3, 4)]
+        assert [loop.result() for loop in loops] == [[factor * index for index in range(8)] for factor in (2, 3, 4)]
+
 
 # functions of the module, not of a test: executors may send them to other processes
 def _square_later_when_small(number: int) -> int:
@@ -64,6 +75,10 @@ def _inverse(number: float) -> float:
 
 def _scaled(factor: int, block: range) -> list[int]:
     return [factor * index for index in block]
+
+
+def _all_scaled(factor: int) -> list[int]:
+    return [index for _, block in spread(_scaled, factor, shares(8, finer=2)) for index in block]
 
 
 def _divided(number: int, by: int) -> float:

@@ -29,6 +29,7 @@ from typer.testing import CliRunner
 
 from magiclens import Candidates, Exhaustive, InputError, Scene, StageError, load_plan, raising, run_spec
 from magiclens.cli import app
+from magiclens.testing import ExecutorContract
 
 SPEC = """\
 scenario: {type: single, source: {type: circles, seed: 7, size: 12mm}, target: {art: heart}}
@@ -235,6 +236,14 @@ def waited_for(what: Callable[[], _Seen | None]) -> _Seen:
 
 def environment(_: int) -> str | None:
     return os.environ.get("NUMBA_NUM_THREADS")
+
+
+class TestDask(ExecutorContract):
+    """The contract of all executors."""
+
+    @pytest.fixture(autouse=True)
+    def _running(self, scheduler: str) -> None:
+        self.executor = Dask(address=scheduler)
 
 
 def test_results_come_in_order_and_a_failure_stops_no_other(scheduler: str) -> None:

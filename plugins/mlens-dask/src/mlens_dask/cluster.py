@@ -59,6 +59,7 @@ class Cluster:
         """
         self._address, self._wait_s, self._blocks = address, wait_s, blocks
         self._sent: tuple[Any, Future[Any]] | None = None
+        self._turn = threading.RLock()  # of the thread that talks to the scheduler
         self._connect()
 
     def close(self) -> None:
@@ -68,12 +69,13 @@ class Cluster:
     @property
     def blocks(self) -> int:
         """See ``magiclens.Spreader``. Raises InputError if no worker comes."""
-        while not self._blocks:
-            try:
-                self._wait_for_a_worker()
-                return len(self._client.nthreads()) or 1
-            except OSError:
-                self._reconnect()
+        with self._turn:
+            while not self._blocks:
+                try:
+                    self._wait_for_a_worker()
+                    return len(self._client.nthreads()) or 1
+                except OSError:
+                    self._reconnect()
         return self._blocks
 
     def map(
@@ -101,13 +103,16 @@ class Cluster:
         loop = _Loop(function, given, dict(enumerate(items)))
         for number in range(len(loop.left)):
             while number not in loop.found:
-                self._go_on(loop)
+                with self._turn:
+                    self._go_on(loop)
             yield loop.found.pop(number)
 
     def _go_on(self, loop: _Loop) -> None:
         """Submit what is due, and wait until something ends, at most for ``PATIENCE_S``."""
         from distributed import CancelledError, KilledWorker, wait
 
+        # those of a connection that another thread's loop has given up are lost
+        loop.futures = {future: number for future, number in loop.futures.items() if future.client is self._client}
         try:
             self._submit(loop, loop.due())
             self._wait_for_a_worker()
