@@ -38,19 +38,30 @@ class _Library(JITCodeLibrary):
 
     def _optimize_functions(self, module: Any) -> None:
         module.data_layout = self._codegen._data_layout
-        passes, builder = self._codegen._function_pass_manager()
+        # numba's highest level finds little more at this point, and what it finds the whole module's passes find, too
+        passes, builder = self._codegen._function_pass_manager(opt=1)
         for function in module.functions:
             if not function.is_declaration:
                 passes.run(function, builder)
+
+    def _optimize_final_module(self) -> None:
+        # numba finds functions that call themselves by their addresses
+        names = (variable.name for variable in self._final_module.global_variables)
+        self._linked_only &= not any(name.startswith(RuntimeLinker.PREFIX) for name in names)
+        if self._linked_only:
+            # all of it is optimised in every caller; what nobody refers to would keep a kernel from going to the disk
+            passes = llvm.create_new_module_pass_manager()
+            passes.add_global_opt_pass()
+            passes.add_global_dead_code_eliminate_pass()
+            passes.run(self._final_module, self._codegen._pass_builder(opt=1))
+        else:
+            super()._optimize_final_module()
 
     def add_ir_module(self, module: Any) -> None:
         self._linked_only = len(ConfigStack()) > 1
         super().add_ir_module(module)
 
     def _finalize_final_module(self) -> None:
-        # numba finds functions that call themselves by their addresses
-        names = (variable.name for variable in self._final_module.global_variables)
-        self._linked_only &= not any(name.startswith(RuntimeLinker.PREFIX) for name in names)
         if self._linked_only:
             self._finalize_dynamic_globals()
             self._finalized = True
@@ -65,6 +76,7 @@ class _Library(JITCodeLibrary):
         self._ensure_finalized()
         if self._linked_only and any(function.name == name for function in self.get_defined_functions()):
             self._linked_only = False
+            self._optimize_final_module()
             self._finalize_final_module()
         pointer: int = super().get_pointer_to_function(name)
         return pointer
