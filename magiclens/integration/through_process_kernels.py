@@ -293,7 +293,9 @@ def _forces_part(part, residuals, raster, gradients, forces, below):
             for j in range(rows.shape[1]):
                 for axis in range(2):
                     forces[axis, raster.first + bi * b + ii, raster.first + j] = rows[ii, j, axis]
-        below[bi] = rows[b]
+        for j in range(rows.shape[1]):
+            for axis in range(2):
+                below[bi, j, axis] = rows[b, j, axis]
 
 
 def forces_of_residuals(

@@ -465,7 +465,8 @@ def _promise(k, columns, worst, rows, count, bounds):
 def _with_signs(first, end, worst, bounds):
     """Write down places from the first to the end again, with each sign whose bound is not above the worst."""
     places, count, begin = bounds.places, first, len(bounds.places) - (end - first)
-    places[begin:] = places[first:end]
+    for at in range(begin, len(places)):
+        places[at] = places[at - begin + first]
     for at in range(begin, len(places)):
         k, _, row, column = _taken_apart(places[at])
         for sign in range(bounds.signs):

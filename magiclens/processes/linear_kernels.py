@@ -18,7 +18,8 @@ def _across_part(part, z, weights, out):
     columns, reach = z.shape[1], len(weights) - 1
     wide = np.empty(columns + 2 * reach, np.float32)
     for i in range(part.first, part.end):
-        wide[reach : reach + columns] = z[i]
+        for j in range(columns):
+            wide[reach + j] = z[i, j]
         for k in range(reach):
             wide[reach - 1 - k], wide[reach + columns + k] = z[i, k], z[i, columns - 1 - k]
         for j in range(columns):
