@@ -1,7 +1,7 @@
 """Annealing: one candidate and one height per facet, by the ``heat-bath`` annealer, against a long plain annealing.
 
-``heat-bath`` anneals as usual, and with care: more sweeps, and squares of facets that settle in between. How much
-energy is left at the end is also given above a bound that no choice of candidates can be below.
+``heat-bath`` anneals as usual, and with squares of facets that settle in between. How much energy is left at the end is
+also given above a bound that no choice of candidates can be below.
 """
 
 from __future__ import annotations
@@ -20,16 +20,13 @@ from magiclens.contract.artifacts import Candidates
 def comparisons(options: argparse.Namespace) -> list[Comparison]:
     """Against the same energy cooled many times as slowly: how much is left to gain, and at what price."""
     if options.quick:
-        return [_compared("single", 16, 8, HeatBath(sweeps=20), 60), _compared("single", 8, 8, _careful(20), 60)]
+        settling = HeatBath(sweeps=20, settle=3, temperature=0.001)
+        return [_compared("single", 16, 8, HeatBath(sweeps=20), 60), _compared("single", 8, 8, settling, 60)]
     large = ("single", "rotating") if options.thorough else ()
     return [
         _compared("single", 32, 32, HeatBath(), 600),
-        *(_compared(spec, 128, 32, _careful(450), 20_000) for spec in large),
+        *(_compared(spec, 128, 32, HeatBath(settle=3), 20_000) for spec in large),
     ]
-
-
-def _careful(sweeps: int) -> HeatBath:
-    return HeatBath(sweeps=sweeps, settle=3, temperature=0.001)
 
 
 def _compared(spec: str, facets: int, kept: int, annealer: HeatBath, sweeps: int) -> Comparison:
