@@ -74,11 +74,10 @@ def choose_basis(samples: FloatArray, skip_y: int, pixels: int) -> Basis:
     ]
     patches = patches.reshape(channels, -1, pixels, pixels).astype(np.float64) - GREY
     flat = patches.reshape(channels, -1)
-    # products step by step, not by BLAS: its threads would go on looking for work for a tenth of a second each time
+    # not one large product by BLAS: its threads would go on looking for work for a tenth of a second each time
     mixtures = np.linalg.eigh(np.einsum("cn,dn->cd", flat, flat))[1].T[::-1]
     waves = _cosines(pixels)
-    along_y = np.einsum("mnyx,by->mnbx", np.einsum("mc,cnyx->mnyx", mixtures, patches), waves)
-    energies = (np.einsum("mnbx,ax->nmba", along_y, waves) ** 2).sum(axis=0)
+    energies = ((waves @ np.einsum("mc,cnyx->mnyx", mixtures, patches) @ waves.T) ** 2).sum(axis=1)
     count = min(max(_LEAST, min(_PER_CHANNEL * (channels + 2), _MOST)), energies.size)
     best = np.argsort(-energies.ravel(), kind="stable")[:count]
     vectors = np.stack(np.unravel_index(best, energies.shape), axis=1)
