@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-import pickle
 import subprocess
-from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,7 +25,7 @@ from magiclens.kernels.spreading import spreading_by
 from magiclens.plan.compile import load_plan
 from magiclens.profiles.machines import Printer, machines
 from magiclens.simulation.as_printed import as_printed, in_layers
-from toys import TOYS, SpecWriter, registry_of
+from toys import TOYS, Others, SpecWriter, registry_of
 
 MILLIMETRE = {"dpi_x": 25.4, "dpi_y": 25.4, "layer": "1mm"}
 FINE = {"dpi_x": 400.0, "dpi_y": 250.0, "layer": "60um"}
@@ -309,26 +307,13 @@ def test_a_lens_larger_than_the_screen_is_refused(tmp_path: Path) -> None:
 TILT = {"tilt": {"about": "y", "angle": "30deg"}}
 
 
-class Others:
-    """Other machines, in this process; each block gets there as it would by a network."""
-
-    blocks = 3
-
-    def __init__(self) -> None:
-        self.items: list[range] = []
-
-    def map(self, function: Callable[[Any, Any], Any], given: Any, items: Sequence[Any]) -> Iterator[Any]:
-        self.items += items
-        return (pickle.loads(pickle.dumps(function))(pickle.loads(pickle.dumps(given)), item) for item in items)
-
-
 @pytest.mark.parametrize("options", [{}, {"slicing": "diffused"}, GREY, TILT, {**GREY, **TILT}])
 @pytest.mark.parametrize("exporter", [Slices, Sl1])
 def test_layers_that_others_pack_have_the_same_bytes(
     exporter: type[LayerStack], options: dict[str, Any], tmp_path: Path
 ) -> None:
     # a slab with a tower: the blocks of layers begin where layers change, and where they do not
-    solid, others = together(bumpy(None), box((0, 0, 0), (3, 2, 20))), Others()
+    solid, others = together(bumpy(None), box((0, 0, 0), (3, 2, 20))), Others(3)
     alone = written(exporter(**FINE, **options), tmp_path / "alone", solid).read_bytes()
     with spreading_by(others):
         spread = written(exporter(**FINE, **options), tmp_path / "spread", solid).read_bytes()

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,25 +17,12 @@ from magiclens.kernels.spreading import shares, spread, spreading_by
 from magiclens.matching.exhaustive import Exhaustive
 from magiclens.matching.multi_view import MultiViewMatcher
 from magiclens.plan.compile import load_plan
+from toys import Others
 
 SPEC = """\
 scenario: {type: single, source: {type: circles, seed: 7, size: 12mm}, target: {art: heart}}
 lens: {size: 12mm, facets: 5, microfacets: 4, thickness: 15mm, relief: 4mm}
 """
-
-
-class Others:
-    """Other machines, in this process; they note what they are given."""
-
-    def __init__(self, blocks: int):
-        self.blocks = blocks
-        self.items: list[Any] = []
-        self.functions: set[str] = set()
-
-    def map(self, function: Callable[[Any, Any], Any], given: Any, items: Sequence[Any]) -> Iterator[Any]:
-        self.items += items
-        self.functions.add(function.__name__)
-        return iter([function(given, item) for item in items])
 
 
 @pytest.fixture

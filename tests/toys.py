@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import pickle
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, ClassVar
@@ -151,3 +152,26 @@ def no_timings(manifest: dict[str, Any]) -> dict[str, Any]:
     """A manifest without its timings."""
     stages = [{k: v for k, v in stage.items() if k != "seconds"} for stage in manifest["stages"]]
     return {**{k: v for k, v in manifest.items() if k != "seconds"}, "stages": stages}
+
+
+class Others:
+    """Other machines, in this process; they note what they are given, which is sent there and back."""
+
+    def __init__(self, blocks: int):
+        self.blocks = blocks
+        self.items: list[Any] = []
+        self.functions: set[str] = set()
+
+    def map(self, function: Callable[[Any, Any], Any], given: Any, items: Sequence[Any]) -> Iterator[Any]:
+        self.items += items
+        self.functions.add(function.__name__)
+        return iter([_sent(_call(*_sent((function, given, item)))) for item in items])
+
+
+def _sent(what: Any) -> Any:
+    """What arrives on another machine."""
+    return pickle.loads(pickle.dumps(what))
+
+
+def _call(function: Callable[[Any, Any], Any], given: Any, item: Any) -> Any:
+    return function(given, item)
