@@ -544,6 +544,54 @@ def _mean_square(gradients, triangles):
     return total / triangles
 
 
+# element by element: numba takes long to compile expressions of whole arrays
+@njit(cache=True)
+def _weigh(laplacian, even, damping, stiff, inverse):
+    """Fill in what the damping adds to J'J and the preconditioner, see ``_step``; all (k, k).
+
+    A facet that sees plain areas only has no gradients: ``even``, their mean square, is a little above zero.
+    """
+    for i in range(len(stiff)):
+        for j in range(len(stiff)):
+            scaled = even * laplacian[i, j]
+            stiff[i, j] = damping * (scaled + even * _FLATNESS)
+            inverse[i, j] = 1.0 / (stiff[i, j] + 0.3 * scaled)
+
+
+@njit(cache=True)
+def _keep_free(field, free, factor):
+    """Multiply a field (k, k) by a factor where heights are free, by zero elsewhere."""
+    for i in range(len(field)):
+        for j in range(len(field)):
+            field[i, j] *= factor * free[i, j]
+
+
+@njit(cache=True)
+def _add(factor, field, weights, other):
+    """``factor field + weights other``, element by element, in place of the field; all (k, k)."""
+    for i in range(len(field)):
+        for j in range(len(field)):
+            field[i, j] = field[i, j] * factor + weights[i, j] * other[i, j]
+
+
+@njit(cache=True)
+def _product(field, other):
+    total = 0.0
+    for i in range(len(field)):
+        for j in range(len(field)):
+            total += field[i, j] * other[i, j]
+    return total
+
+
+@njit(cache=True)
+def _weighed_square(weights, field):
+    total = 0.0
+    for i in range(len(field)):
+        for j in range(len(field)):
+            total += weights[i, j] * field[i, j] * field[i, j]
+    return total
+
+
 @njit(cache=True)
 def _step(shown, samples, metric, damping, iterations, out):
     """Fill in the damped Gauss-Newton step d, which solves ``(J'J + damping (L + flatness)) d = -J'r``.
@@ -563,44 +611,42 @@ def _step(shown, samples, metric, damping, iterations, out):
     Returns:
         By how much the sum of squared residuals falls if they change with the heights as J says.
     """
-    free = metric.free
     k, cell = len(out), samples.cell_mm
-    # a facet that sees plain areas only has no gradients
-    even = _mean_square(shown.gradients, shown.slopes.shape[1]) + 1e-12
-    laplacian = even * metric.laplacian
-    stiff = damping * (laplacian + even * _FLATNESS)
-    inverse = 1.0 / (stiff + 0.3 * laplacian)
+    stiff, inverse = np.zeros((k, k)), np.zeros((k, k))
+    _weigh(metric.laplacian, _mean_square(shown.gradients, shown.slopes.shape[1]) + 1e-12, damping, stiff, inverse)
     residual, direction, image, total = np.zeros((k, k)), np.zeros((k, k)), np.zeros((k, k)), np.zeros((k, k))
     field, work = np.zeros((k, k)), np.zeros((k, k))
-    forces, changes, seen = np.zeros_like(shown.slopes), np.zeros_like(shown.slopes), np.zeros_like(shown.residuals)
+    forces, changes = np.zeros(shown.slopes.shape), np.zeros(shown.slopes.shape)
+    seen = np.zeros(shown.residuals.shape, np.float32)
     residual_change_transposed(samples, shown, shown.residuals, forces)
     triangle_slopes_transposed(forces, cell, field)
-    field *= -free
+    _keep_free(field, metric.free, -1.0)
     to_spectrum(field, metric.cosines, work, residual)
     old, expected = 1.0, 0.0
     for n in range(iterations):
-        new = (residual * inverse * residual).sum()
+        new = _weighed_square(inverse, residual)
         if new <= 1e-18:
             break
-        direction *= new / old if n else 0.0
-        direction += inverse * residual
+        _add(new / old if n else 0.0, direction, inverse, residual)
         to_field(direction, metric.cosines, work, field)
-        field *= free
+        _keep_free(field, metric.free, 1.0)
         triangle_slopes(field, cell, changes)
         residual_change(samples, shown, changes, seen)
         residual_change_transposed(samples, shown, seen, forces)
         triangle_slopes_transposed(forces, cell, field)
-        field *= free
+        _keep_free(field, metric.free, 1.0)
         to_spectrum(field, metric.cosines, work, image)
-        image += stiff * direction
-        length = new / (direction * image).sum()
-        total += length * direction
+        _add(1.0, image, stiff, direction)
+        length = new / _product(direction, image)
+        for i in range(k):
+            for j in range(k):
+                total[i, j] += length * direction[i, j]
+                residual[i, j] -= length * image[i, j]
         expected += length * new
-        residual -= length * image
         old = new
     to_field(total, metric.cosines, work, out)
-    out *= free
-    return expected + (stiff * total * total).sum()
+    _keep_free(out, metric.free, 1.0)
+    return expected + _weighed_square(stiff, total)
 
 
 @njit(cache=True, nogil=True)
