@@ -558,7 +558,9 @@ def test_blurring_keeps_every_point_where_it_is(width_px: float) -> None:
     px = 0.05
     source = np.full((1, 41, 41), 0.2, np.float32)
     source[0, 17, 25] = 1.0
-    for level in blur_levels(source, px, 1.3 * px, (0.0, width_px * px)):
+    levels = np.empty((2, 1, 41, 41), np.float32)
+    blur_levels(source, px, 1.3 * px, (0.0, width_px * px), levels)
+    for level in levels:
         light = to_linear(level[0].astype(float)) - 0.2
         rows, columns = np.indices(light.shape)
         assert light.sum() == pytest.approx(0.8, rel=1e-3)
@@ -570,7 +572,9 @@ def test_blurring_keeps_every_point_where_it_is(width_px: float) -> None:
 def test_blurring_a_step_makes_a_ramp_as_wide_as_the_box() -> None:
     px, source = 0.1, np.zeros((1, 8, 40), np.float32)
     source[..., 20:] = 1.0
-    light = to_linear(blur_levels(source, px, 0.0, (0.55,))[0, 0, 4].astype(float))
+    levels = np.empty((1, 1, 8, 40), np.float32)
+    blur_levels(source, px, 0.0, (0.55,), levels)
+    light = to_linear(levels[0, 0, 4].astype(float))
     edges = np.arange(41) - 20.0
     ideal = np.diff(np.where(np.abs(edges) < 2.75, (edges + 2.75) ** 2 / 11, np.maximum(edges, 0)))
     # pixels are boxes themselves: the blurred step runs over 5.5 pixels, give or take half a one

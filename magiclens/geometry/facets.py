@@ -127,9 +127,10 @@ def patches_seen(
 
 def cost_of_lost_light(scene: Scene) -> float:
     """Mean squared difference, in display values, of a target pixel and a random pixel of the source."""
+    sources = {name: to_display(source) for name, source in {v.source_name: v.source for v in scene.views}.items()}
     total = 0.0
     for view in scene.views:
-        s, t = to_display(view.source), to_display(view.target)
+        s, t = sources[view.source_name], to_display(view.target)
         total += float((s**2).mean() - 2 * s.mean() * t.mean() + (t**2).mean())
     return total / len(scene.views)
 

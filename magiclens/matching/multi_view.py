@@ -105,7 +105,9 @@ class MultiViewMatcher(LatticeOptions, Matcher):
         lens, pixels, window, optics = scene.lens, 2 * self.pixels, self.window_on(scene.lens), image_optics_of(scene)
         per_mm = pictures.sources.shape[2] / lens.source_size_mm
         views, grain = pictures.seen(lens.facets * pixels, per_mm, lens.size_mm), seen_grain(scene)
-        images = np.stack([blur_levels(s, 1 / per_mm, grain, WIDTHS_MM) for s in pictures.sources], axis=1)
+        images = np.empty((len(WIDTHS_MM), *pictures.sources.shape), np.float32)
+        for number, source in enumerate(pictures.sources):
+            blur_levels(source, 1 / per_mm, grain, WIDTHS_MM, images[:, number])
         levels, rule = Levels(images, np.array(WIDTHS_MM)), PolishingRule(self.polish, ITERATIONS, self.isotropic)
         polish_views(views, facets, levels, pixels, window, rule, optics, pool.found)
         progress(0.85)

@@ -18,7 +18,13 @@ from magiclens.kernels.resuming import blocks, resumable
 from magiclens.kernels.sampling import bilinear, blend, clamped_cell
 from magiclens.kernels.threads import in_threads
 from magiclens.matching.evaluation_kernels import LOOK_UPS, Staircase
-from magiclens.matching.polishing_kernels import PARAMETERS, polishing_step, read_candidate, write_candidate
+from magiclens.matching.polishing_kernels import (
+    PARAMETERS,
+    PIXEL_WIDTHS,
+    polishing_step,
+    read_candidate,
+    write_candidate,
+)
 from magiclens.matching.reachability_kernels import distance_term, reachable
 from magiclens.matching.tuples import Found, Levels, PolishingRule, Window
 from magiclens.optics.eyes import FirstOrder, linearise, local_map, shift, unknown_first_order
@@ -254,7 +260,7 @@ def _normal_equations(views, levels, pitch, pixels, sighting, jtj, jtr, derive):
         position, spread = sighting.seen.position[v], sighting.seen.position_by_facet[v]
         footprint = px * math.sqrt(abs(m[0] * m[3] - m[1] * m[2]))
         level = 0
-        while level + 1 < len(widths) and widths[level + 1] < 1.4 * footprint:
+        while level + 1 < len(widths) and widths[level + 1] < PIXEL_WIDTHS * footprint:
             level += 1
         for ky in range(pixels):
             w = (ky - 0.5 * (pixels - 1)) * px

@@ -24,6 +24,8 @@ from magiclens.optics.medium import Optics
 
 PARAMETERS = 5
 """How many parameters are polished: offset x, y and map xx, xy, yy."""
+PIXEL_WIDTHS = 1.4
+"""The box over which a source is averaged is narrower than so many of the pixels that a tile sees there."""
 
 
 @njit(cache=True)
@@ -49,7 +51,7 @@ def _normal_equations(f, p, seen, limit, jtj, jtr):
     tiles, levels, per_mm, places = seen
     _, pixels, _, channels = tiles.values.shape
     level, footprint = 0, tiles.pitch / pixels * math.sqrt(abs(p[2] * p[4] - p[3] * p[3]))
-    while level + 1 < len(levels.widths) and levels.widths[level + 1] < 1.4 * footprint:
+    while level + 1 < len(levels.widths) and levels.widths[level + 1] < PIXEL_WIDTHS * footprint:
         level += 1
     shape = levels.images.shape[1:]
     look(places, (tiles.centres[f, 0] + p[0], tiles.centres[f, 1] + p[1]), (p[2], p[3], p[4]), per_mm, shape)
