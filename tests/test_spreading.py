@@ -68,17 +68,20 @@ def test_what_was_done_before_a_kill_is_not_spread_again() -> None:
 @pytest.mark.parametrize(
     ("count", "workers", "finer", "most", "sizes"),
     [
-        (7, 2, 1, None, [3, 4]),
-        (7, 2, 2, None, [1, 2, 2, 2]),
+        (7, 2, 1, None, [4, 3]),
+        (10, 3, 1, None, [4, 3, 3]),
+        (7, 2, 2, None, [2, 2, 2, 1]),
+        (100, 2, 8, None, [25, 19, 14, 11, 8, 6, 6, 6, 5]),
+        (100, 2, 8, 20, [20, 20, 15, 12, 9, 6, 6, 6, 6]),
         (2, 4, 1, None, [1, 1]),
         (0, 4, 1, None, []),
         (8, None, 4, None, [8]),
-        (8, None, 4, 3, [2, 3, 3]),
+        (8, None, 4, 3, [3, 3, 2]),
         (8, 1, 1, 2, [2, 2, 2, 2]),
         (0, None, 1, 5, []),
     ],
 )
-def test_shares_are_even_and_cover_everything(
+def test_shares_cover_everything_and_the_smallest_come_last(
     count: int, workers: int | None, finer: int, most: int | None, sizes: list[int]
 ) -> None:
     with spreading_by(Others(workers) if workers else None):

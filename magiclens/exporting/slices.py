@@ -38,8 +38,8 @@ _MOST_LAYERS = 10**5
 """Most layers; their names have five digits."""
 _SWING = 2
 """Layers above the highest point of a solid that error diffusion may use."""
-_FINER = 4
-"""So many blocks of layers for each worker of a cluster: the upper ones take longer."""
+_FINER = 8
+"""A worker of a cluster gets no fewer layers at once than its share divided by this; see ``shares``."""
 _NAME = "layer-{:05d}.png"
 """Names of the files in ``slices``, by number of the layer."""
 _Side = Annotated[Length, Field(ge=1, le=2000)]

@@ -47,8 +47,8 @@ FACETS_AT_ONCE = 512
 """Most facets between two reports of progress."""
 _LEAST_REPORTS = 4
 """Least reports of progress on all facets, but for one each."""
-_FINER = 8
-"""So many blocks of facets for each worker of a cluster: some facets take many more steps than others."""
+_FINER = 32
+"""A worker of a cluster gets no fewer facets at once than its share divided by this; see ``shares``."""
 
 Relevel = Callable[[FloatArray, FloatArray], FloatArray]
 """From shapes (N, N, k, k) of zero mean, mm, and facets' levels (N, N), mm, to new levels (N, N), mm."""

@@ -74,21 +74,28 @@ def is_spread() -> bool:
 
 
 def shares(count: int, finer: int = 1, most: int | None = None) -> list[range]:
-    """Indices below a count, such as those of rows of facets, in blocks of about the same size to be ``spread``.
+    """Indices below a count, such as those of rows of facets, in blocks to be ``spread``.
 
     Results must not depend on how they are divided.
 
     Args:
         count: How many indices there are.
-        finer: So many times as many blocks as the spreader asks for: then nobody waits long for the slowest.
+        finer: The smallest blocks are so many times smaller than an even share. They come last, so that nobody waits
+            long for the slowest, and the first ones are larger, so that they are few. By default all shares are even.
         most: How many indices are in a block at most; any number by default.
 
     Returns:
-        Blocks in ascending order, none of them empty. Without a spreader it is one, but for ``most``.
+        Blocks in ascending order, none of them empty. Without a spreader they are even: one, but for ``most``.
     """
-    spreader = _spreader.get()
-    parts = min(count, max(finer * spreader.blocks if spreader else 1, -(-count // (most or max(count, 1)))))
-    return [range(k * count // parts, (k + 1) * count // parts) for k in range(parts)]
+    spreader, blocks, left = _spreader.get(), list[range](), count
+    at_a_time, finer = (spreader.blocks, finer) if spreader else (1, 1)
+    while left > 0:
+        # half of an even share of what is left, while that is more than a smallest block
+        parts = max(min(2 * at_a_time, -(-left * finer * at_a_time // count)), -(-left // (most or count)))
+        size = -(-left // parts)
+        blocks.append(range(count - left, count - left + size))
+        left -= size
+    return blocks
 
 
 @contextmanager

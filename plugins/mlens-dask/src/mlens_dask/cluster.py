@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from magiclens import InputError, StageError, raising
 
 if TYPE_CHECKING:
-    from distributed import Future
+    from distributed import Client, Future
 
 _Given = TypeVar("_Given")
 _Item = TypeVar("_Item")
@@ -26,6 +26,8 @@ TIMEOUT_S = 10.0
 """Longest time that a scheduler may take to answer, in seconds."""
 PATIENCE_S = 5.0
 """Seconds without any worker after which the user is told how to start one, and between two looks for workers."""
+_AHEAD = 2
+"""So many items a worker has at a time: the one that it works on, and the next, whose data it gets meanwhile."""
 _MOST_DEATHS = 4
 """So many workers may die while they have an item; it is tried once more then, alone."""
 
@@ -72,8 +74,7 @@ class Cluster:
         with self._turn:
             while not self._blocks:
                 try:
-                    self._wait_for_a_worker()
-                    return len(self._client.nthreads()) or 1
+                    return len(self._workers())
                 except OSError:
                     self._reconnect()
         return self._blocks
@@ -111,11 +112,9 @@ class Cluster:
         """Submit what is due, and wait until something ends, at most for ``PATIENCE_S``."""
         from distributed import CancelledError, KilledWorker, wait
 
-        # those of a connection that another thread's loop has given up are lost
-        loop.futures = {future: number for future, number in loop.futures.items() if future.client is self._client}
+        loop.forget_all_but(self._client)  # another thread's loop may have given up a connection
         try:
-            self._submit(loop, loop.due())
-            self._wait_for_a_worker()
+            self._submit(loop)
             # or it would ask the client that the process has made last, whoever it is of
             with self._client.as_current(), suppress(TimeoutError, CancelledError):
                 wait(list(loop.futures), PATIENCE_S, "FIRST_COMPLETED")
@@ -129,7 +128,6 @@ class Cluster:
                 else:
                     self._take(loop, number, future)
         except OSError:
-            loop.futures.clear()
             self._reconnect()
 
     def _take(self, loop: _Loop, number: int, future: Future[Any]) -> None:
@@ -144,18 +142,32 @@ class Cluster:
             loop.has_ended(number, future.result(self._wait_s))
         except CancelledError:  # it was with a worker that has died, or known to a scheduler that has
             self._sent = None
+            loop.placed.clear()
             self._require_scheduler()
             loop.has_died(number, 1)
 
-    def _submit(self, loop: _Loop, numbers: list[int]) -> None:
-        if not numbers:
-            return
-        given = self._everywhere(loop.given)
-        items = self._placed([loop.left[number] for number in numbers])
-        for number, item in zip(numbers, items, strict=True):
+    def _submit(self, loop: _Loop) -> None:
+        """Give workers what is due, each as much as it may have at a time.
+
+        Dask would give everything away at once, to where the data are, and move it when a worker has long been idle.
+        """
+        due = loop.due()
+        if new := [number for number in due if number not in loop.placed]:
+            items = self._placed([loop.left[number] for number in new])
+            loop.placed.update(zip(new, items, strict=True))
+        given, workers = self._everywhere(loop.given) if due else None, self._workers()
+        has = Counter(loop.worker_of[number] for number in loop.futures.values())
+        for number in due:
+            worker = min(workers, key=lambda address: has[address])
+            if has[worker] >= _AHEAD:
+                return
             # not pure: Dask would work on equal items once
-            future = self._client.submit(_call, loop.function, given, item, pure=False, priority=-number)
-            loop.futures[future] = number
+            future = self._client.submit(
+                _call, loop.function, given, loop.placed.pop(number),
+                pure=False, priority=-number, workers=[worker], allow_other_workers=True,
+            )  # fmt: skip
+            loop.futures[future], loop.worker_of[number] = number, worker
+            has[worker] += 1
 
     def _everywhere(self, given: Any) -> Future[Any]:
         """An object on all workers. The last one stays there, as several loops in a row are about the same pictures."""
@@ -171,7 +183,7 @@ class Cluster:
         """
         began = time.monotonic()
         while True:
-            self._wait_for_a_worker()
+            self._workers()
             self._require_scheduler()
             try:
                 placed: list[Future[Any]] = self._client.scatter(data, hash=False, broadcast=broadcast)
@@ -237,14 +249,14 @@ class Cluster:
             else:
                 return
 
-    def _wait_for_a_worker(self) -> None:
-        """Wait until there is a worker; after some seconds the user is told how to start one.
+    def _workers(self) -> list[str]:
+        """The addresses of the workers. It waits for the first; after some seconds the user is told how to start one.
 
         Raises:
             InputError: None has come in ``wait_s`` seconds.
         """
         began, told = time.monotonic(), False
-        while not self._client.nthreads():
+        while not (workers := list(self._client.nthreads())):
             waited = time.monotonic() - began
             advice = f"start one on any machine: dask worker {self._address} --nthreads 1"
             if waited > self._wait_s:
@@ -253,6 +265,7 @@ class Cluster:
                 _say(f"{self._address} has no worker; {advice}")
                 told = True
             time.sleep(0.1)
+        return workers
 
 
 @dataclass
@@ -264,7 +277,9 @@ class _Loop:
         given: The same for all items.
         left: Items that have not ended, by number.
         found: Results of those that have, or exceptions, until they are asked for.
-        futures: Items that workers have, or that wait for one.
+        placed: Data of items that wait for a worker.
+        futures: Items that workers have.
+        worker_of: Addresses of the workers that have got an item.
         deaths: How many workers have died with an item, or more than so many while it waited.
     """
 
@@ -272,8 +287,15 @@ class _Loop:
     given: Any
     left: dict[int, Any]
     found: dict[int, Any] = field(default_factory=dict)
+    placed: dict[int, Future[Any]] = field(default_factory=dict)
     futures: dict[Future[Any], int] = field(default_factory=dict)
+    worker_of: dict[int, str] = field(default_factory=dict)
     deaths: Counter[int] = field(default_factory=Counter)
+
+    def forget_all_but(self, client: Client) -> None:
+        """Forget what a connection that is no more has sent."""
+        self.placed = {number: data for number, data in self.placed.items() if data.client is client}
+        self.futures = {future: number for future, number in self.futures.items() if future.client is client}
 
     def due(self) -> list[int]:
         """Numbers of the items to submit: all, but for doubtful ones, which wait until they can be alone."""
