@@ -9,6 +9,7 @@ import numpy as np
 
 from magiclens.contract.artifacts import Assignment, FloatArray, Scene
 from magiclens.images import to_display
+from magiclens.kernels.threads import side_by_side
 
 if TYPE_CHECKING:
     from magiclens.optics.walls import Edges
@@ -127,12 +128,20 @@ def patches_seen(
 
 def cost_of_lost_light(scene: Scene) -> float:
     """Mean squared difference, in display values, of a target pixel and a random pixel of the source."""
-    sources = {name: to_display(source) for name, source in {v.source_name: v.source for v in scene.views}.items()}
+    different = {view.source_name: view.source for view in scene.views}
+    sources = dict(zip(different, side_by_side(_moments, different.values()), strict=True))
+    targets = side_by_side(_moments, [view.target for view in scene.views])
     total = 0.0
-    for view in scene.views:
-        s, t = sources[view.source_name], to_display(view.target)
-        total += float((s**2).mean() - 2 * s.mean() * t.mean() + (t**2).mean())
+    for view, (mean, square) in zip(scene.views, targets, strict=True):
+        seen_mean, seen_square = sources[view.source_name]
+        total += float(seen_square - 2 * seen_mean * mean + square)
     return total / len(scene.views)
+
+
+def _moments(linear: FloatArray) -> tuple[np.float32, np.float32]:
+    """Mean and mean square of a picture's display values."""
+    shown = to_display(linear)
+    return shown.mean(), (shown**2).mean()
 
 
 def _eyes(scene: Scene) -> FloatArray:

@@ -29,6 +29,8 @@ _SHARP = 0.0
 """The last one."""
 _LEAST_BLUR = 0.1
 """Least blur of the sources, in widths of a micro-facet: a look-up stands for a piece of one."""
+_LEAST_SIGMA = 0.125
+"""A Gaussian of a smaller sigma, pixels, leaves a picture as it is: SciPy's ends after four sigmas."""
 _ITERATIONS = 4
 """Iterations of conjugate gradients per step."""
 _PERFECT = 1e-7
@@ -311,4 +313,6 @@ def pictures_of(scene: Scene, pixels: int) -> Pictures:
 def blurred(pictures: Pictures, blur_mm: float) -> Pictures:
     """The same with sources blurred by a Gaussian of this sigma, mm; beside the sources it is dark, as for look-ups."""
     sigma = blur_mm * len(pictures.sources) / pictures.source_mm
+    if sigma < _LEAST_SIGMA:
+        return pictures
     return pictures._replace(sources=gaussian_filter(pictures.sources, (sigma, sigma, 0), mode="constant"))
