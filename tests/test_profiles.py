@@ -98,6 +98,18 @@ def test_what_a_scenario_needs_comes_before_what_suits_a_machine(load: Loader) -
     assert (options["screening"], options["step_weight"]) == (1e-3, 1.0)
 
 
+@pytest.mark.parametrize(("machine", "weight"), [("sla", 1e-5), ("lcd-12k", 1e-5), ("milling", 1.0)])
+def test_sheets_are_painted_for_the_steps_that_a_printer_rounds_off_but_a_mill_cannot_make_any(
+    machine: str, weight: float, load: Loader
+) -> None:
+    universal = "scenario={type: universal-animation, frames: {art: worm, length: 2}}"
+    plan = load(universal, replace=("milling", machine))
+    assert plan.annealer.stage.model_dump()["step_weight"] == weight
+    assert (plan.integrator.stage.model_dump()["process"] is None) == (machine == "milling")
+    alone = load(replace=("milling", machine))
+    assert alone.annealer.stage.model_dump()["step_weight"] == (1.0 if machine == "milling" else 0.02)
+
+
 @pytest.mark.parametrize(
     ("override", "message"),
     [

@@ -47,6 +47,9 @@ class Fabrication:
     def suited(self, scenarios: Mapping[str, Choice], lens: LensSpec) -> dict[str, Choice]:
         """Stages that suit both scenario and machine; where they want different types, the scenario decides.
 
+        Where both want a stage of one type, a mill's options hold, as it cannot make what they forbid, such as steps. A
+        printer makes any heights: its options are advice, which a scenario may know better.
+
         Args:
             scenarios: Stages that suit the scenario, by kind.
             lens: The lens, on which some options of integrators depend, see ``Machine.integrator``.
@@ -58,10 +61,10 @@ class Fabrication:
         if "integrator" in own:
             own["integrator"] |= self.machine.integrator(lens.wall, lens.cells)
         both: dict[str, Choice] = {**own, **scenarios}
-        # options of the machine hold even if the scenario chose the stage, such as the step limit of mills
         for kind, usual in own.items():
             if both[kind]["type"] == usual["type"]:
-                both[kind] = {**both[kind], **usual}
+                first, last = (both[kind], usual) if isinstance(self.machine, Mill) else (usual, both[kind])
+                both[kind] = {**first, **last}
         return both
 
     def resolved(self) -> dict[str, Any]:
