@@ -62,7 +62,7 @@ class Exhaustive(LatticeOptions, Matcher):
         search_all(self, scene, channels, tiles, pool, progress)
         pool.require_all(lens, first)
         pool.sort()
-        finish(pool, scene, channels, rows, self, self.isotropic, max(self.scales))
+        finish(pool, scene, channels, rows, self, self.isotropic)
         return pool.candidates(lens, self.candidates)
 
 

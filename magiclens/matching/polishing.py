@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from magiclens.contract.artifacts import Candidates, FloatArray, Scene
@@ -14,7 +12,7 @@ from magiclens.matching.channels import Channels, stack_channels
 from magiclens.matching.evaluation_kernels import Staircase, evaluate
 from magiclens.matching.grain import flat_scale, seen_grain
 from magiclens.matching.options import MatchingOptions
-from magiclens.matching.polishing_kernels import PIXEL_WIDTHS, drop_unreachable, polish
+from magiclens.matching.polishing_kernels import drop_unreachable, polish
 from magiclens.matching.pool import Pool
 from magiclens.matching.rasters import DISPLAY_TABLE
 from magiclens.matching.tuples import Levels, PolishingRule, Tiles
@@ -24,8 +22,6 @@ WIDTHS_MM = (0.0, 0.1, 0.2, 0.35)
 """Widths of the boxes over which sources are averaged, mm: patches that are seen small need the widest."""
 ITERATIONS = 10
 """Levenberg-Marquardt steps per candidate, at most."""
-_GROWTH = 2.0
-"""So many times as large as the largest searched patches may others become before they would need a wider box."""
 
 
 def polished(scene: Scene, rough: Candidates, options: MatchingOptions, isotropic: bool = False) -> Candidates:
@@ -56,9 +52,8 @@ def polished(scene: Scene, rough: Candidates, options: MatchingOptions, isotropi
 
 
 def finish(
-    pool: Pool, scene: Scene, channels: Channels, rows: slice, options: MatchingOptions, isotropic: bool,
-    largest: float = math.inf,
-) -> None:  # fmt: skip
+    pool: Pool, scene: Scene, channels: Channels, rows: slice, options: MatchingOptions, isotropic: bool
+) -> None:
     """Polish, evaluate and sort what a search has left in the pool.
 
     Args:
@@ -68,18 +63,15 @@ def finish(
         rows: of facets.
         options: of the matcher.
         isotropic: whether maps stay multiples of the identity.
-        largest: the largest magnitude of a map that was searched.
     """
     lens, pixels, per_mm = scene.lens, 2 * options.pixels, 1 / channels.source_px_mm
     values = channels.tiles(lens.facets, pixels, rows).reshape(len(pool.errors), -1, pixels, pixels)
     centres, window = lens.facet_centres_mm()[rows].reshape(-1, 2) * (1, -1), options.window_on(lens)
     tiles = Tiles(_interleaved(values), centres, lens.pitch_mm)
     rule = PolishingRule(options.polish, ITERATIONS, isotropic)
-    footprint = _GROWTH * largest * lens.pitch_mm / pixels
-    widths = tuple(width for width in WIDTHS_MM if width < PIXEL_WIDTHS * footprint)
-    images = with_room((len(widths), *channels.source.shape[1:], len(channels.source)))
-    blur_levels(channels.source, channels.source_px_mm, seen_grain(scene), widths, np.moveaxis(images, -1, 1))
-    levels = Levels(images, np.array(widths))
+    images = with_room((len(WIDTHS_MM), *channels.source.shape[1:], len(channels.source)))
+    blur_levels(channels.source, channels.source_px_mm, seen_grain(scene), WIDTHS_MM, np.moveaxis(images, -1, 1))
+    levels = Levels(images, np.array(WIDTHS_MM))
     polish(tiles, levels, per_mm, window, rule, image_optics_of(scene), pool.found)
     pool.drop(options.acceptance)
     stairs = Staircase(lens.microfacets, flat_scale(scene), DISPLAY_TABLE)
