@@ -98,11 +98,12 @@ def blur_levels(
     grained = box_blur(source, grain, grain)
 
     # plane by plane, or most of the time would go into getting memory
-    def blur(level: int, channel: int) -> None:
+    def blur(plane: tuple[int, ...]) -> None:
+        level, channel = plane
         width = widths_mm[level] / source_px_mm
-        levels[level, channel] = to_display(box_blur(grained[channel : channel + 1], width, width)[0])
+        levels[plane] = to_display(box_blur(grained[channel : channel + 1], width, width)[0])
 
-    side_by_side(lambda plane: blur(*plane), np.ndindex(levels.shape[:2]))
+    side_by_side(blur, np.ndindex(levels.shape[:2]))
 
 
 def box_blur(image: FloatArray, rows: float, columns: float) -> FloatArray:
